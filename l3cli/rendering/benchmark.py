@@ -1,4 +1,4 @@
-"""Measures the rendering time per frame, in total and per stage.
+"""Measure the rendering time per frame, in total and per stage.
 
 Frames and tables are synthetic, with realistic sizes. The time includes all transfers, from uint16 values in host memory to
 the result in host memory.
@@ -56,15 +56,15 @@ CLASSES = {"fast": (10, 1), "single": (20, 8), "default": (10, 9)}  # class reci
 
 
 def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
-    """Return a table with random transforms that renders as fast as a trained table.
+    """Return a table with random transforms, with which rendering is as fast as with a trained table.
 
     The table has ten saturation cases, and the numbers of levels and chromas that `CLASSES` lists for the class recipe. A
     single-layer table also has two contrast classes. A two-layer table has the same direction classes, colour ratios, coarse
     chroma, replacement of clipped areas and chroma smoothing as the class recipe `default`.
 
-    The chroma centres surround the grey of `synthetic_frame`, so its pixels fall into different chroma classes. Each
-    transform is the mean of the window plus small random deviations. The pictures are therefore nearly grey, and most of
-    their pixels are inside the sRGB gamut, as in real pictures.
+    The chroma centres surround the grey of `synthetic_frame`, so that its pixels have different chromas. Each transform is
+    the mean of the window plus small random deviations. The pictures are therefore nearly grey, and most of their pixels are
+    inside the sRGB gamut, as in real pictures.
     """
     cfa = CFAS[case.cfa]
     channels = int(cfa.max()) + 1
@@ -123,7 +123,7 @@ def _directions(case: Case, level_edges: NDArray[np.float64]) -> Feature:
     span = case.patch - period
     noise = np.sqrt(
         2 * period**2 * _variance(np.append(level_edges, WHITE_LEVEL))
-    )  # standard deviation of the difference of two box sums, in DN
+    )  # standard deviation of the difference between two box sums, in DN
     constants = [direction.SCALE, direction.SCALE, 4, 1, 0, *np.rint(DIRECTED * direction.SCALE * noise).tolist()]
     windows = direction.boxes(case.patch, period, direction.inner_span(span))
     return Feature("direction", 5, windows, np.array(constants, np.int32))
@@ -176,7 +176,7 @@ def _variance(level: NDArray[np.float64]) -> NDArray[np.float64]:
 def synthetic_frame(case: Case, rng: np.random.Generator) -> RawFrame:
     """Return a smooth scene that covers all levels, with noise and some texture.
 
-    Noise and texture make the class change from pixel to pixel as often as in real frames.
+    Because of the noise and texture, the class changes from pixel to pixel as often as in real frames.
     """
     cfa = CFAS[case.cfa]
     row, col = np.mgrid[: case.height, : case.width]
@@ -191,9 +191,9 @@ def synthetic_frame(case: Case, rng: np.random.Generator) -> RawFrame:
 
 
 def _detail(case: Case, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a random texture as a brightness factor per pixel (row, col).
+    """Return a random texture, as a brightness factor per pixel (row, col).
 
-    As in a busy scene, the structure class of most pixels differs from that of the nearest pixels at the same CFA site.
+    As in a busy scene, most pixels have another structure class than the nearest pixels at the same CFA site.
     """
     blocks = np.zeros((case.height, case.width))
     for side in (3, 7, 15):
@@ -219,7 +219,7 @@ SMALL_CASES = (Case(64, 48, 9, "five-band", "fast"),)
 
 
 def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str, Any]]]:
-    """Return one callable per benchmark case, which runs the case and returns its result.
+    """Return one function per benchmark case. Each function runs its case and returns the result.
 
     If `variant` is None, the default kernel variant and the reference renderer are measured.
     """
@@ -254,7 +254,7 @@ def measure(case: Case, device: str | None = None, variant: str | None = None) -
 
 
 def measure_reference(case: Case) -> dict[str, Any]:
-    """Measure how long the reference renderer takes to render a frame. The result has the same keys as from `measure`."""
+    """Measure how long the reference renderer takes to render a frame. The result has the same keys as in `measure`."""
     table, frame, display = _synthetic(case)
     renderer = ReferenceRenderer(table)
     classes = _times(lambda: renderer.labels(frame))
@@ -271,7 +271,7 @@ def _synthetic(case: Case) -> tuple[TransformTable, RawFrame, Display]:
 
 
 def _times(render: Callable[[], object]) -> list[float]:
-    """Call `render` and return the durations of `FRAMES` calls, in ms, after `WARM_UP` calls that are not timed."""
+    """Return the durations of `FRAMES` calls of `render`, in ms, after `WARM_UP` calls that are not timed."""
     waits = []
     for turn in range(WARM_UP + FRAMES):
         start = time.perf_counter()

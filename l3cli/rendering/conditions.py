@@ -1,4 +1,4 @@
-"""Selects or derives the transforms for a frame.
+"""Select or derive the transforms for a frame.
 
 They depend on the scene illuminant (docs/method.md#several-illuminants), the analog gain (docs/method.md#gains), and the
 noise that remains in each pixel after the temporal filter (docs/method.md#noise-sets).
@@ -28,11 +28,11 @@ from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.correlated_lights import mired_of
 
-MIN_VARIANCE = 1e-30  # noise variance in DN² assumed where all channels clip
-# At other gains, refinement layers do not use the transforms of levels with a lower signal-to-noise ratio, because these
-# transforms would leave more noise.
+MIN_VARIANCE = 1e-30  # noise variance in DN² that is assumed where all channels clip
+# Smallest signal-to-noise ratio of a level from which another gain's refinement layers may use transforms. Transforms of
+# darker levels would leave more noise.
 DARKEST_REFINED = 2.0
-LEFT = (1 / 16, 1 / 4)  # noise fractions after the temporal filter for which transforms of a lower gain are prepared
+LEFT = (1 / 16, 1 / 4)  # noise fractions, after the temporal filter, for which transforms of a lower gain are prepared
 GAINS_PER_DOUBLING = 12  # transforms are computed for this number of gains per octave
 SAME_GAIN = 0.01  # gains with a smaller relative difference count as equal
 FAR_GAIN = 1.5  # l3 warns if a gain is outside the range of known analog gains by more than this factor
@@ -57,8 +57,8 @@ class Mix:
 def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
     """Find the mixture of a table's illuminants that matches the scene illuminant.
 
-    It consists of the two illuminants next to the scene in colour temperature, weighted linearly in reciprocal colour
-    temperature. If the scene is warmer or cooler than all illuminants, only the nearest illuminant has a weight.
+    It consists of the two illuminants with the nearest lower and higher colour temperatures, weighted linearly in reciprocal
+    colour temperature. If the scene is warmer or cooler than all illuminants, only the nearest illuminant has a weight.
 
     Parameters
     ----------
@@ -84,10 +84,10 @@ def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
 
 
 def nearest_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
-    """Find the table's single illuminant that is closest to the scene illuminant, as a mixture with the weight 0 or 1.
+    """Find the table's illuminant that is closest to the scene illuminant, as a mixture with a weight of 0 or 1.
 
-    l3 renders pictures with the transforms for this illuminant, and the white balance corrects the remaining difference. The
-    result is None if the table has no transforms for single illuminants.
+    l3 renders pictures with the transforms for this illuminant, and the white balance corrects the remaining difference. If
+    the table has no transforms for single illuminants, the result is None.
     """
     mix = mix_for(table, white)
     return None if mix is None else replace(mix, share=float(mix.share >= 0.5))
@@ -155,7 +155,7 @@ def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[N
 def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float64] | float) -> NDArray[Float]:
     """Interpolate between two arrays. `share` is the weight of `cool`: one number, or one per element of the first axis.
 
-    Values that are equal in both arrays do not change.
+    Values that are equal in both arrays remain exactly the same.
     """
     one, other = warm.astype(np.float64), cool.astype(np.float64)
     share = np.asarray(share).reshape(-1, *[1] * (one.ndim - 1))
@@ -168,7 +168,7 @@ def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float
 def known_gains(table: TransformTable) -> tuple[float, float]:
     """Return the smallest and largest analog gains at which the noise of the table's camera is known.
 
-    Gains are relative to the camera model. The result is (1, 1) if the table does not contain its camera.
+    Gains are relative to the camera model. If the table does not contain its camera, the result is (1, 1).
     """
     known = [1.0, *(table.camera.gains.analog_gain.tolist() if table.camera and table.camera.gains else ())]
     return min(known), max(known)
@@ -178,7 +178,7 @@ def gain_of_frames(table: TransformTable, camera: CameraModel) -> float:
     """Return the analog gain of frames from another camera model, relative to the table's camera.
 
     It is the ratio of the two full scales, because raw values are scaled to the table's black and white levels before
-    rendering. Differences below 1 % are ignored. The result is 1 if the table does not contain its camera.
+    rendering. Differences below 1 % are ignored. If the table does not contain its camera, the result is 1.
     """
     gain = table.camera.full_scale / camera.full_scale if table.camera else 1.0
     return 1.0 if abs(gain - 1) < SAME_GAIN else gain
@@ -195,8 +195,8 @@ def nearest_step(gain: float) -> float:
 def at_gain(table: TransformTable, gain: float) -> TransformTable:
     """Adapt a table to frames with another analog gain (docs/method.md#gains).
 
-    Transforms for temporally filtered frames remain if they apply at this gain. A table that does not contain its camera is
-    returned unchanged.
+    Transforms for temporally filtered frames are kept if they apply at this gain. A table that does not contain its camera
+    is returned unchanged.
 
     Parameters
     ----------
@@ -276,9 +276,9 @@ def _equivalent(table: TransformTable, gain: float) -> TransformTable:
 def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
     """Return a layer in which unclipped classes use the transforms of other levels.
 
-    This is possible because transforms of unclipped classes have no intercept. `place` contains the index of the source
-    level for each level of the first layer; fractional indices interpolate between two levels. `sites` is the number of CFA
-    sites.
+    This is possible because transforms of unclipped classes have no intercept. `place` contains, for each level of the first
+    layer, the index of the level whose transforms are used. Fractional indices interpolate between two levels. `sites` is
+    the number of CFA sites.
     """
     rule, first = layer.rule, isinstance(layer, MosaicLayer)
     every, numbers = np.arange(len(layer.weights)), np.arange(place.size)
@@ -295,10 +295,11 @@ def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
 
 
 def noise_limits(table: TransformTable) -> dict[NoiseScale, float]:
-    """Return up to which noise fraction each of a table's low-noise sets of transforms is used.
+    """Return the largest noise fraction at which each low-noise set of transforms in a table is used.
 
     Low-noise sets are for temporally filtered frames. A noise fraction is the noise variance divided by the camera's noise
-    variance. A set trained for the fraction a is used up to a^¾ · b^¼, where b is the fraction of the next noisier set.
+    variance. A set that was trained for the fraction a is used up to a^¾ · b^¼, where b is the fraction of the next noisier
+    set.
 
     Returns
     -------
@@ -310,10 +311,10 @@ def noise_limits(table: TransformTable) -> dict[NoiseScale, float]:
 
 
 class NoiseSets:
-    """A table's sets of transforms, from which renderers choose for each pixel according to its remaining noise.
+    """A table's sets of transforms. Renderers choose a set for each pixel by the pixel's remaining noise.
 
     The first set is for the camera's full noise, and the others are for lower noise. The arrays of all sets are
-    concatenated. The classes are numbered through all sets, as if each set had its own CFA sites.
+    concatenated. Classes are numbered consecutively over all sets, as if each set had its own CFA sites.
 
     Parameters
     ----------
@@ -348,7 +349,7 @@ class NoiseSets:
         return frame.noise_share if self._limits else 1.0
 
     def chosen(self, frame: RawFrame) -> NDArray[np.uint8]:
-        """Choose a set of transforms for each pixel of a frame, as an array (row, col) of set indices."""
+        """Choose a set of transforms for each pixel in a frame. Return the indices of the sets: (row, col)."""
         if frame.noise_left is None:
             return np.zeros(frame.values.shape, np.uint8)
         return frame.noise_left.below(self._limits, frame.values.shape)
@@ -384,7 +385,7 @@ class NoiseSets:
 def with_edges_for(table: TransformTable, share: float) -> TransformTable:
     """Adapt the class thresholds of a table to frames with less noise, without changing the transforms.
 
-    The thresholds for contrast, strength and other noise-dependent features scale with the noise, so that they separate
+    The thresholds of noise-dependent features, such as contrast and strength, are scaled with the noise. They then separate
     texture from uniform areas as reliably as at the camera's full noise.
 
     Parameters

@@ -1,4 +1,4 @@
-"""Converts XYZ to pictures in a colour space (docs/method.md#display).
+"""Convert XYZ to pictures in a colour space (docs/method.md#display).
 
 The steps are a matrix, gamut mapping, an optional tone curve, the transfer curve, and rounding to integer codes.
 """
@@ -148,7 +148,7 @@ def shown_adaptation(table: TransformTable, adaptation: NDArray[np.float64]) -> 
     Returns
     -------
     ndarray, (3, 3)
-        `adaptation` for colour tables. For monochrome tables, a matrix that converts Y (or S0) to a grey of this luminance,
+        For colour tables, `adaptation`. For monochrome tables, a matrix that converts Y (or S0) to a grey of this luminance,
         with exactly equal R, G and B.
     """
     return np.outer(display_white(), [0.0, 1.0, 0.0]) if table.shows_grey else adaptation
@@ -161,9 +161,9 @@ def require_known_layers(table: TransformTable) -> None:
 
 
 def encode(planes: NDArray, display: Display) -> NDArray:
-    """Encode X, Y and Z as a picture (row, col, 3), computed in float64.
+    """Encode the first three planes (output, row, col), X, Y and Z, as a picture (row, col, 3).
 
-    X, Y and Z are the first three of `planes` (output, row, col).
+    All steps before rounding are computed in float64.
     """
     linear = np.einsum("po,orc->rcp", display.matrix, planes[:3].astype(np.float64))
     within = into_gamut(linear, gamut_of(display.space), bounded=display.tone is None)

@@ -1,6 +1,6 @@
-"""Automatic exposure, and the fraction of pixels for which a table was not trained (docs/method.md#display).
+"""Determine the automatic exposure, and the fraction of pixels for which a table was not trained.
 
-Except for the exposure of stills, everything is measured on about 1500 pixels per frame.
+Except for the exposure of stills, everything is measured on about 1500 pixels per frame. See docs/method.md#display.
 """
 
 import functools
@@ -20,12 +20,12 @@ from l3cli.physics.display import white_percentile
 from l3cli.rendering.white.scene_white import WhiteBalance, balanced_patches, followed_share
 
 GRID = (32, 48)  # maximum numbers of rows and columns of sampled pixels
-# Relative error of the luminance due to noise near clipped pixels, where fewer channels contribute.
+# Relative error of the luminance, due to noise, near clipped pixels. Fewer channels contribute to the luminance there.
 NOISE_WHERE_CLIPPED = 0.05
 
 
 class SpreadSamples:
-    """Samples a frame: extracts about 1500 evenly spaced patches at one CFA site, and classifies them."""
+    """Extracts about 1500 evenly spaced patches from a frame, all at one CFA site, and classifies them."""
 
     def __init__(self, table: TransformTable) -> None:
         self._table = table
@@ -47,7 +47,7 @@ class SpreadSamples:
         patches : RawFrame
             Patches at the table's levels, with values of shape (patch, tap) and the shading of each patch.
         site : int
-            CFA site of all patches, which is the site of the frame's first pixel.
+            CFA site of all patches. It is the site of the frame's first pixel.
         labels : ndarray, (patch,)
             First-layer class of each patch, numbered within the site.
         """
@@ -61,7 +61,7 @@ class SpreadSamples:
         return cut, site, label_patches(cut.values, rule, self._neighbours, site, self._orders[site])
 
     def patches(self, frame: RawFrame) -> RawFrame:
-        """Extract patches at the table's levels, without white balance or classification."""
+        """Extract patches, scaled to the table's levels, without white balance or classification."""
         return self._at_levels(self._cut(frame))
 
     def _at_levels(self, cut: RawFrame) -> RawFrame:
@@ -70,7 +70,6 @@ class SpreadSamples:
         return cut.at_levels(table.black_level, table.white_level, table.bits).shading_corrected()
 
     def _cut(self, frame: RawFrame) -> RawFrame:
-        """Extract patches at the levels of the frame."""
         down, across = self._geometry(frame)
         patches = frame.values.reshape(-1).take(_places(down, across))
         shading = None
@@ -86,7 +85,6 @@ class SpreadSamples:
         return len(_windows(*down)[0]), len(_windows(*across)[0])
 
     def _geometry(self, frame: RawFrame) -> list[tuple[int, int, int, int]]:
-        """Return the arguments of `_windows` for rows and columns."""
         table = self._table
         return [(frame.values.shape[axis], table.cfa.shape[axis], table.first.rule.patch, GRID[axis]) for axis in (0, 1)]
 
@@ -101,7 +99,8 @@ class LightMeter:
 
     The effect of noise near clipped pixels is removed, as in `still_scale`. The result is limited to the luminance of a
     white that clips all channels, because l3 always displays such a white as white. One CFA site is sufficient, because all
-    sites respond equally to uniform areas. The pixels are rendered on the CPU, so the result does not depend on the device.
+    sites respond equally to uniform areas. The pixels are rendered on the CPU, so that the result does not depend on the
+    OpenCL device.
     """
 
     def __init__(self, table: TransformTable) -> None:
@@ -152,8 +151,9 @@ def _white(luminance: NDArray[np.floating], clipped: NDArray[np.bool_]) -> float
     """Return the luminance to display as white: the 99th percentile, corrected for noise in clipped areas.
 
     Noise raises the percentile, so that a uniform white would look grey. This is visible where some channels clip, because
-    fewer channels contribute to the luminance. The result is therefore a mean over all pixels within `NOISE_WHERE_CLIPPED`
-    of the percentile: clipped pixels contribute their luminance, and the others contribute the percentile itself.
+    fewer channels contribute to the luminance. The result is therefore the mean of a value over all pixels within
+    `NOISE_WHERE_CLIPPED` of the percentile. For clipped pixels, this value is their luminance. For all others, it is the
+    percentile.
     """
     white = white_percentile(luminance)
     alike = np.abs(luminance - white) <= NOISE_WHERE_CLIPPED * white
@@ -178,7 +178,7 @@ def _near(marked: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
 def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarray, np.ndarray]:
     """Choose at most `most` evenly spaced patches along one axis, and return the indices of their samples.
 
-    All patches are centred on samples with the same CFA phase as the first sample.
+    The central samples of all patches have the same CFA phase as the first sample of the frame.
 
     Returns
     -------
@@ -198,7 +198,7 @@ def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarra
 def _places(down: tuple[int, int, int, int], across: tuple[int, int, int, int]) -> np.ndarray:
     """Return the indices (patch, tap) of all patch values in the flattened frame.
 
-    This is twice as fast as indexing by row and column.
+    Access by these indices is twice as fast as access by row and column.
     """
     (_, row), (_, col) = _windows(*down), _windows(*across)
     places = row[:, None, :, None].astype(np.intp) * across[0] + col[None, :, None, :]
@@ -210,8 +210,8 @@ class SteadyExposure:
     """Smooths the automatic exposure of a sequence over time, frame by frame.
 
     The first frame is exposed for its own brightness. Afterwards, the logarithm of the scale approaches the measured value
-    exponentially, which suppresses measurement noise and follows lighting changes without overshoot. Changes of the analog
-    gain are compensated immediately. Later frames have no influence.
+    exponentially. This suppresses measurement noise, and follows changes in lighting without overshoot. Changes in the
+    analog gain are compensated immediately. Later frames do not affect the scale of a frame.
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -221,8 +221,8 @@ class SteadyExposure:
     def scale(self, brightness: float, gain: float = 1.0) -> float:
         """Return the exposure scale for the next frame.
 
-        `brightness` is the luminance to display as white. If it is 0, the scale of the previous frame remains (1 at the
-        beginning of a sequence).
+        `brightness` is the luminance to display as white. If it is 0, the scale of the previous frame is returned, or 1 at
+        the beginning of a sequence.
         """
         if brightness > 0:
             wanted = math.log(gain / brightness)
@@ -232,9 +232,9 @@ class SteadyExposure:
 
 @dataclass(frozen=True)
 class OutOfRange:
-    """Fractions of a frame's pixels that are saturated or outside the training range of a table.
+    """Fractions of a frame's pixels that are saturated, or for which a table was not trained.
 
-    The first three fractions do not overlap.
+    A pixel is included in at most one of the first three fractions.
     """
 
     darker: float  # darker than all trained levels
@@ -251,7 +251,7 @@ class RangeMeter:
         self._samples = table.first.rule.by_feature(table.first.samples)
 
     def outside(self, frame: RawFrame) -> OutOfRange:
-        """Estimate the fractions of a frame's pixels that are too dark, too bright, untrained or saturated."""
+        """Estimate the fractions of pixels that are too dark, too bright, in untrained classes, or saturated."""
         rule = self._table.first.rule
         _, site, labels = self._spread.of(frame)
         place = rule.split(labels)

@@ -1,4 +1,4 @@
-"""Estimates how much mains flicker brightens or darkens each frame of a sequence (docs/method.md#flicker).
+"""Estimate by how much mains flicker brightens or darkens each frame of a sequence (docs/method.md#flicker).
 
 Lamps on 50 or 60 Hz mains flicker at 100 or 120 Hz. At r frames per second, this frequency and its second harmonic alias to
 their distances from the nearest multiple of r. For example, 100 Hz appears as 10 Hz at 30 frames per second.
@@ -35,8 +35,8 @@ Array = NDArray[np.float64]
 class BrightnessRatio:
     """Compares the brightness of each frame with the previous frame.
 
-    The median over about 1500 raw patches makes it insensitive to motion, as long as moving objects cover less than half of
-    the frame.
+    The ratio is a median over about 1500 raw patches. Motion hardly affects it, as long as moving objects cover less than
+    half of the frame.
     """
 
     def __init__(self, table: TransformTable) -> None:
@@ -46,8 +46,8 @@ class BrightnessRatio:
     def of(self, frame: RawFrame) -> float:
         """Return the natural logarithm of the frame's brightness, relative to the previous frame.
 
-        Patches that are dark or clipped in either frame are not used. The result is 0 for the first frame and if fewer than
-        MIN_PATCHES patches are usable.
+        Patches that are dark or clipped in either frame are not used. For the first frame, or if fewer than MIN_PATCHES
+        patches are usable, the result is 0.
         """
         patches = self._samples.patches(frame)
         signal = self._samples.signal(patches)
@@ -64,8 +64,8 @@ class BrightnessRatio:
 def seen_frequencies(mains: int, rate: Fraction, frames: int) -> list[float]:
     """Return the aliased flicker frequencies in a sequence, in cycles per frame.
 
-    A frequency is omitted if the sequence contains fewer than `MIN_CYCLES` cycles of it. The second harmonic is also omitted
-    if its number of cycles differs from the fundamental's by less than one.
+    A frequency is omitted if it has fewer than `MIN_CYCLES` cycles in the sequence. The second harmonic is also omitted if
+    its number of cycles differs by less than one from the number of cycles of the fundamental.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def flicker_at(time: float, times: Sequence[float], ratios: Sequence[float], rat
             continue
         phase = np.outer(at - time, angles)
         sines = np.hstack([np.cos(phase), np.sin(phase)])
-        # Neither the mains frequency nor the frame rate is exact, so the first sine may drift in amplitude and phase.
+        # The amplitude and phase of the first sine may drift, because neither mains frequency nor frame rate is exact.
         changing = sines[:, [0, angles.size]] * ((at - time) / LOOKAHEAD)[:, None]
         trend = np.diff(at)[:, None]
         basis = np.hstack([np.diff(sines, axis=0), np.diff(changing, axis=0), trend])
@@ -144,7 +144,7 @@ def flicker_at(time: float, times: Sequence[float], ratios: Sequence[float], rat
 def _robust(basis: Array, values: Array) -> tuple[Array, float]:
     """Solve basis · x = values robustly, and return x and the standard deviation of the residuals.
 
-    Iteratively reweighted least squares first minimises absolute deviations, then excludes outliers.
+    The method is iteratively reweighted least squares. It first minimises absolute deviations, then excludes outliers.
     """
     weights = np.ones(values.size)
     for number in range(L1_ROUNDS + BIWEIGHT_ROUNDS):

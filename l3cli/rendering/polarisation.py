@@ -1,4 +1,4 @@
-"""Converts Stokes parameters to planes for files, and to pictures (docs/polarisation.md#pictures)."""
+"""Convert Stokes parameters to planes for files, and to pictures (docs/polarisation.md#pictures)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,10 @@ TICKS = 4  # intervals into which the ticks divide a colour bar
 
 
 def in_upright_frame(planes: Floats, outputs: tuple[str, ...], orientation: int) -> Floats:
-    """Turn the outputs (output, row, col) upright, given the orientation as a LibRaw flip code.
+    """Turn the outputs (output, row, col) upright. `orientation` is a LibRaw flip code.
 
-    Angles of polarisation become relative to the horizontal axis of the upright picture: mirroring changes the sign of S2,
-    and transposing changes the sign of S1.
+    Angles of polarisation become relative to the horizontal axis of the upright picture. For this purpose, mirroring changes
+    the sign of S2, and transposing changes the sign of S1.
     """
     turned = np.moveaxis(upright(np.moveaxis(planes, 0, -1), orientation), -1, 0)
     if has_stokes(outputs) and orientation:

@@ -1,4 +1,4 @@
-"""Warnings about frames that do not fit a table.
+"""Warn about frames that do not fit a table.
 
 A frame may come from another camera, have another CFA, or be too dark or bright for the training. Raw values may be
 implausible because of a wrong bit depth, byte order, black level or size.
@@ -29,8 +29,10 @@ SHEARED = 1.5  # the size is probably wrong if swapping rows and columns makes n
 ROW_PAIRS = 64  # number of row pairs to compare
 
 NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # smallest fractions to report
-LONG = 60.0  # a longer exposure time is probably not in seconds
-MANY_TIMES = 100.0  # nor is one that exceeds the mean of the training frames by this factor
+# An exposure time is probably not in seconds if it is longer than LONG, or if it is at least MANY_TIMES the mean exposure
+# time of the training frames.
+LONG = 60.0  # s
+MANY_TIMES = 100.0
 
 
 @dataclass
@@ -53,12 +55,12 @@ class FrameWarnings:
         self._meter = RangeMeter(self.table)
 
     def measure(self, frame: RawFrame) -> None:
-        """Check the metadata and the values of a frame, and how many of its pixels are outside the trained range."""
+        """Check a frame's metadata and values, and measure how many of its pixels are outside the trained range."""
         self._seen += 1
         if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:
             self._untimed.append(frame.name)
         of_camera = other_camera(frame, self.table), other_gain(frame, self.table)
-        misread = _misread(frame)  # makes all other checks of the values meaningless
+        misread = _misread(frame)  # if the frame was misread, all other checks of the values are meaningless
         of_values = (misread,) if misread else (other_phase(frame, self.table), *value_warnings(frame, self.table))
         for text in (*of_camera, *of_values):
             self._note(text, frame.name)
@@ -74,7 +76,7 @@ class FrameWarnings:
     def check(self, frame: RawFrame, stills: bool) -> None:
         """Check a still or the next frame of a sequence.
 
-        The first frame of a sequence is checked like a still. Later frames are only checked for values that the A/D
+        The first frame of a sequence is checked like a still. Later frames are checked only for values that the A/D
         converter cannot produce, unless the first frame already contains such values.
         """
         if stills or not self._seen:

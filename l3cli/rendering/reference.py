@@ -19,18 +19,18 @@ from l3cli.physics.mosaic import channel_reach, shifted_cfa
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
 
-# Neighbours for chroma smoothing, as (row, column) offsets in pixels. Few neighbours keep it fast. Mixing near and far
-# neighbours averages out both fine and coarse residual patterns of noise and aliasing.
+# Neighbours for chroma smoothing, as (row, column) offsets in pixels. With more neighbours, smoothing would be slower. Near
+# and far neighbours together average out both fine and coarse patterns of residual noise and aliasing.
 CHROMA_NEIGHBOURS = ((-1, -1), (-1, 1), (1, -1), (1, 1), (-4, 0), (4, 0), (0, -4), (0, 4))
 FAR_CHROMA_NEIGHBOURS = ((-5, -5), (-5, 5), (5, -5), (5, 5), (-8, 0), (8, 0), (0, -8), (0, 8))
 FAR_LIKENESS = 0.5  # far neighbours show other surfaces more often, so their chroma must be closer by this factor
 CHROMA_REACH = 8  # largest offset in pixels
 
-# A pixel's luminance may not fall below the smallest nearby raw value (relative to white), times one of these factors. The
-# first factor applies above the black level, the second one below it. The second factor is large so that little dark noise
-# is cut off, because cutting it off would change the mean.
+# A pixel's luminance must not fall below the smallest nearby raw value (relative to white), multiplied by one of these
+# factors. The first factor applies to values above the black level, the second factor to values below it. The second factor
+# is large, because clipping the noise of dark areas would raise their mean.
 LEAST_OF_POSITIVE, LEAST_OF_NEGATIVE = 0.5, 2.0
-RAISED_CHROMA = 2.0  # when Y is raised, X and Z change by at most this multiple of the change in Y
+RAISED_CHROMA = 2.0  # if Y is raised, X and Z change by at most this multiple of the change in Y
 
 SMOOTHING_DARKEST = 2.0**-20  # darker pixels are not smoothed; in output units, far below the noise of any sensor
 
@@ -78,8 +78,8 @@ class ReferenceRenderer:
     def exact_outputs(self, frame: RawFrame) -> NDArray[np.float64]:
         """Render a frame to the outputs of the table (output, row, col) in float64, without the rounding of `outputs`.
 
-        All steps after the layers are included: replacing clipped areas, shading gain, smoothing spectra or chroma, and
-        compensating for the range lost to dark current.
+        All steps after the layers are included: correction of clipped areas, shading gain, smoothing of spectra or chroma,
+        and compensation for the range lost to dark current.
         """
         levelled = at_table_levels(frame, self.table)
         labels = self._labels(levelled)
@@ -109,14 +109,14 @@ class ReferenceRenderer:
 
     @functools.cached_property
     def _fixed_points(self) -> list[FixedPoint]:
-        """Fixed-point transforms of every layer but the last."""
+        """Fixed-point transforms of every layer except the last."""
         basis = planes_basis(self.table)
         return [self._sets.first_fixed_point, *(refined_fixed_point(layer, basis) for layer in self._sets.later[:-1])]
 
     def _labels(self, levelled: RawFrame) -> Integers:
-        """Classify every pixel for the first layer, in a frame from `at_table_levels`.
+        """Classify every pixel of a frame from `at_table_levels` for the first layer.
 
-        The class numbers continue from one set of transforms to the next.
+        Classes are numbered consecutively over all sets of transforms.
         """
         usual, *others = (
             label_mosaic(levelled.values, table.first.rule, table.cfa, len(table.channels), levelled.phase)
@@ -128,7 +128,7 @@ class ReferenceRenderer:
         return labels
 
     def _refine(self, levelled: RawFrame, first_labels: Integers, number: int) -> tuple[NDArray[np.int32], Integers]:
-        """Return the planes that refinement layer `number` (from 1) reads, and the layer's class map."""
+        """Return the planes that refinement layer `number` (counted from 1) reads, and the layer's class map."""
         later = self._sets.later
         planes = first_planes(levelled, first_labels, self.table, self._fixed_points[0])
         labels = self._refined_labels(planes, first_labels, 0)
@@ -138,14 +138,14 @@ class ReferenceRenderer:
         return planes, labels
 
     def _with_plain_clipped_areas(self, made: NDArray[np.float64], levelled: RawFrame) -> NDArray[np.float64]:
-        """Replace the outputs in uniform clipped areas, if the table contains the coefficients for it."""
+        """Correct the outputs in clipped areas, if the table contains the coefficients for it."""
         clipping = self.table.later[-1].clipping
         if clipping is None:
             return made
         return replaced(made, mosaic_of(levelled, self.table), clipping.response, clipping.white)
 
     def _refined_labels(self, planes: NDArray[np.int32], first_labels: Integers, place: int) -> Integers:
-        """Classify every pixel for refinement layer `place` (from 0)."""
+        """Classify every pixel for refinement layer `place` (counted from 0)."""
         rule, *others = self._sets.refinement_rules(place)
         return label_planes(planes, first_labels, rule, self.table.first.rule, *others)
 
@@ -156,7 +156,7 @@ def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
 
 
 def mosaic_of(levelled: RawFrame, table: TransformTable) -> Mosaic:
-    """Combine the raw values and CFA of a frame, as `classes.clipping` needs them to replace uniform clipped areas.
+    """Combine a frame's raw values and CFA in the form that `classes.clipping` requires.
 
     `levelled` is a frame from `at_table_levels`.
     """
@@ -187,7 +187,7 @@ def output_planes(frame: RawFrame, labels: Integers, table: TransformTable, firs
 
 
 def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed: FixedPoint) -> NDArray[np.int32]:
-    """Compute the planes for the first refinement layer by applying the first layer in fixed point.
+    """Apply the first layer in fixed point, and return the planes for the first refinement layer.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed
 def refinement_planes(
     planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, fixed: FixedPoint
 ) -> NDArray[np.int32]:
-    """Compute the planes for the next refinement layer by applying a refinement layer in fixed point.
+    """Apply a refinement layer in fixed point, and return the planes for the next refinement layer.
 
     Parameters
     ----------
@@ -327,11 +327,11 @@ def raising_constants(table: TransformTable) -> dict[str, float | int]:
 
 
 def least_luminance(frame: RawFrame, table: TransformTable) -> NDArray[np.float64]:
-    """Return a lower limit for the luminance of each pixel, derived from the raw values around it.
+    """Return a lower limit for the luminance of each pixel, computed from the raw values around it.
 
     Each raw value in a window around the pixel is divided by the raw value of white in the same channel. The limit is the
-    smallest of these ratios times a constant factor. The window is just large enough to contain all channels. Values outside
-    the frame are ignored. The limit is −∞ if the table does not contain the channel signals of white.
+    smallest of these ratios, times a constant factor. The window is just large enough to contain all channels. Values
+    outside the frame are ignored. If the table does not contain the channel signals of white, the limit is −∞.
 
     Parameters
     ----------
@@ -364,7 +364,7 @@ def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) 
         o_p ← ō_p · Y_p / Ȳ_p
 
     ō and Ȳ are means over the window, weighted by w. They are computed from differences to the central pixel, so that
-    uniform areas are unchanged to the last bit. At the borders, planes are mirrored about the outermost pixels.
+    uniform areas do not change in any bit. At the borders, planes are mirrored about the outermost pixels.
 
     Parameters
     ----------
@@ -414,10 +414,10 @@ def smoothed_chroma(
 
     l_q is `likeness` for CHROMA_NEIGHBOURS, and FAR_LIKENESS · `likeness` for FAR_CHROMA_NEIGHBOURS. Z changes in the same
     way. The new X_p / Y_p is the weighted mean of X over p and its neighbours, divided by the weighted mean of Y. Areas of
-    constant chromaticity are unchanged to the last bit. At the borders, planes are mirrored about the outermost pixels.
+    constant chromaticity do not change in any bit. At the borders, planes are mirrored about the outermost pixels.
 
-    If Y_p is below `least`, it becomes `least`, and X_p and Z_p move towards the chroma of the diagonal neighbours, by at
-    most RAISED_CHROMA times the change in Y_p.
+    If Y_p is below `least`, it is raised to `least`. X_p and Z_p then move towards the chroma of the diagonal neighbours, by
+    at most RAISED_CHROMA times the change in Y_p.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ class Renderer(Protocol):
     def table(self) -> TransformTable: ...
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
-        """Return the class map (row, col) of a layer, which is the same for all backends. Layer 0 reads the raw frame."""
+        """Return the class map (row, col) of a layer. It is the same for all backends. Layer 0 reads the raw frame."""
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
         """Render a frame to the outputs of the table, (output, row, col)."""
@@ -114,10 +114,10 @@ def make_renderer(backend: str, table: TransformTable, by_noise: bool = False, *
 
 
 class NoiseRenderer:
-    """Renderer that adapts the table to the analog gain and the noise of each frame.
+    """Renderer that adapts its table to the analog gain and noise of each frame.
 
-    After the temporal filter, each pixel uses the transforms for its remaining noise. If the table has no transforms for low
-    noise, the class thresholds are adapted to the frame's mean noise instead.
+    In temporally filtered frames, each pixel uses the transforms for its remaining noise. If the table has no transforms for
+    low noise, the class thresholds are instead adapted to the frame's mean noise.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Renders frames to pictures with a given colour space, bit depth, exposure and white balance.
+"""Render frames to pictures with a given colour space, bit depth, exposure and white balance.
 
 Exposure and white balance are either set by the user or measured in the frames.
 """
@@ -30,7 +30,7 @@ from l3cli.system.locks import ThreadLock
 
 DEPTHS = (8, 16, FLOAT_BITS)
 MIN_EXPOSURE, MAX_EXPOSURE = 1e-9, 1e9  # allowed range of the exposure, by which Y is multiplied
-ANY_RATE = Fraction(30)  # frame rate if only the first frame is measured, so that its value does not matter
+ANY_RATE = Fraction(30)  # frame rate if only the first frame is measured; its value then has no effect
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ def frame_and_display(
     A `scale` of 0 means automatic exposure.
     """
     frame = balanced(frame, renderer.table, balance.gains)
-    # The automatic exposure of a still needs the luminance of all pixels before encoding. If the renderer processes the
+    # The automatic exposure of a still requires the luminance of all pixels before encoding. If the renderer processes the
     # frame in one piece, the outputs remain on the device for encoding. Larger frames are rendered twice.
     scale = scale * balance.luminance or still_scale(renderer.outputs(frame)[1], frame, renderer.table)
     scale *= 2**rendition.stops
@@ -221,8 +221,8 @@ def frame_and_display(
 class FrameMeter:
     """Determines the exposure scale and the white balance, frame by frame.
 
-    In a sequence, both follow the measurements smoothly, and a white measured on a grey object or a chart is measured only
-    in the first frame. Each still has its own white, and its automatic exposure is determined after rendering.
+    In a sequence, both follow the measurements smoothly. On a grey object or a chart, the white is measured only in the
+    first frame. Each still has its own white, and its automatic exposure is determined after rendering.
 
     Parameters
     ----------
@@ -292,7 +292,7 @@ class FrameMeter:
         brightness : float
             Brightness of the frame, from `looked_at`.
         flicker : float
-            Natural logarithm of the factor by which flicker brightens the frame, for which the scale compensates.
+            Natural logarithm of the factor by which flicker brightens the frame. The scale compensates for it.
         """
         steady = math.exp(-flicker)
         if self._light and self._exposure:
@@ -337,7 +337,7 @@ class Following:
     def shown(self, frame: RawFrame) -> tuple[RawFrame, float, WhiteBalance | None]:
         """Return the filtered frame, its exposure scale and its white balance.
 
-        The white balance is None for the white balance of the rendition. Raises InputFileError if the white cannot be
+        A white balance of None stands for the white balance of the rendition. Raises InputFileError if the white cannot be
         measured.
         """
         with self._alone:

@@ -1,1 +1,1 @@
-"""Temporal filter, which blends each raw frame with the previous frames before rendering (docs/method.md#temporal)."""
+"""Temporal filter: blends each raw frame with the previous frames before rendering (docs/method.md#temporal)."""

@@ -1,4 +1,4 @@
-"""Divides a sequence into chunks, which are filtered independently.
+"""Divide a sequence into chunks that are filtered independently.
 
 Chunks consist of `CHUNK` frames, counted from the first frame of the sequence. The filter of a chunk starts `LEAD` frames
 earlier, so that the noise is already low when the chunk begins. These frames are the chunk's lead-in. A filtered frame
@@ -44,7 +44,7 @@ class Chunks:
     def filtered(self, place: int, frame: RawFrame) -> RawFrame:
         """Filter the frame with index `place` in the sequence.
 
-        Calls must be in order of the index. Frames for which `needed` yields false may be omitted.
+        Frames must be passed in order. Frames for which `needed` yields false may be omitted.
         """
         chunks = chunks_of(place)
         self._filters = {chunk: self._filters.get(chunk) or self._make() for chunk in chunks}
@@ -55,7 +55,7 @@ class Chunks:
 def chunks_of(place: int) -> range:
     """Return the numbers of the chunks whose filters read the frame with index `place`.
 
-    These are two chunks for a frame in the lead-in of the next chunk, otherwise one.
+    A frame in the lead-in of the next chunk is read by two filters, and any other frame by one.
     """
     return range(place // CHUNK, (place + LEAD) // CHUNK + 1)
 
@@ -63,12 +63,12 @@ def chunks_of(place: int) -> range:
 def needed(wanted: Iterable[tuple[int, bool]]) -> Iterator[bool]:
     """Yield, for each frame, whether the temporal filter must read it.
 
-    This is the case if the caller wants its result, or if the wanted result of a later frame depends on it.
+    It must if the caller requests the result for this frame, or for a later frame that depends on it.
 
     Parameters
     ----------
     wanted : iterable of (int, bool)
-        Index of each frame, and whether the caller wants its result. Up to `LEAD` + `CHUNK` pairs are read ahead.
+        Index of each frame, and whether the caller requests its result. Up to `LEAD` + `CHUNK` pairs are read ahead.
     """
     prefetched: list[tuple[int, bool]] = []
     frames = iter(wanted)
@@ -83,10 +83,11 @@ def needed(wanted: Iterable[tuple[int, bool]]) -> Iterator[bool]:
 
 
 class AnyOrder:
-    """Filters frames that are requested in any order, for example by a video editor.
+    """Filters frames in any order, for example for a video editor.
 
-    The results are the same as in sequential order. If the requested frame precedes the last one or is in a later chunk, the
-    filter restarts at the lead-in of its chunk. Threads may share an instance, which filters for one thread at a time.
+    The results are the same as in sequential order. If the requested frame precedes the last one, or is in a later chunk,
+    the filter restarts at the lead-in of the requested frame's chunk. Threads may share an instance. It serves one thread at
+    a time.
 
     Parameters
     ----------
@@ -107,7 +108,7 @@ class AnyOrder:
         self._chunks = Chunks(make)
 
     def filtered(self, place: int, frame: RawFrame) -> RawFrame:
-        """Filter the frame with index `place` in the sequence, after any earlier frames on which it depends."""
+        """Filter the frame with index `place` in the sequence, after all earlier frames on which the result depends."""
         with self._alone:
             if place in self._made:
                 return self._made[place]

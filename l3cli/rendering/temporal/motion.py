@@ -1,9 +1,9 @@
-"""Estimates one motion vector per block between two frames (docs/method.md#temporal).
+"""Estimate one motion vector per block between two frames (docs/method.md#temporal).
 
 Both frames are averaged over CFA periods, which removes the mosaic. An image pyramid halves the resolution repeatedly until
-a sample is about as large as a block. The search runs from the coarsest to the finest plane of the pyramid, in integers. All
-vectors are whole CFA periods, so that pixels of the same channel are compared. At each resolution, the search skips blocks
-for which noise explains the remaining differences, without motion or with the vector found so far.
+a sample is about as large as a block. The search runs in integers, from the coarsest to the finest plane of the pyramid. All
+vectors are whole CFA periods, so that pixels of the same channel are compared. At each resolution, the search skips a block
+if noise explains the remaining differences, either without motion or with the present vector.
 """
 
 import itertools
@@ -104,7 +104,7 @@ class _Search:
         return np.arange(grid.blocks[axis]) * grid.block[axis] // unit - margin
 
     def _windows(self, plane: Plane, vector: Vectors) -> Plane:
-        """Return every block's window in a plane, displaced by `vector`. The plane's edges are replicated."""
+        """Return every block's window in a plane, displaced by `vector`. At the edges, samples are repeated."""
         rows = np.clip(self._rows[:, None, :] + vector[..., 0, None], 0, plane.shape[0] - 1)
         cols = np.clip(self._cols[None, :, :] + vector[..., 1, None], 0, plane.shape[1] - 1)
         return plane[rows[..., :, None], cols[..., None, :]]
@@ -114,11 +114,11 @@ class _Search:
         return np.minimum(differences, CLIPPED).sum(axis=(2, 3), dtype=np.int64)
 
     def settled(self, vector: Vectors) -> NDArray[np.bool_]:
-        """Return, for each block, whether noise explains the differences that remain after displacement by `vector`."""
+        """Return, for each block, whether noise explains the remaining differences after displacement by `vector`."""
         return self._cost(vector) <= self._settled
 
     def best_of(self, candidates: list[Vectors]) -> Vectors:
-        """Return the best vector of each block: the first candidate unless another one fits clearly better."""
+        """Return the best vector for each block: the first candidate, unless another candidate fits clearly better."""
         best = self._within(candidates[0])
         least = self._cost(best)
         for candidate in candidates[1:]:

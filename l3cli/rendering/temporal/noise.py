@@ -1,8 +1,8 @@
-"""Cells and blocks of the temporal filter, and camera noise in integers.
+"""Divide frames into cells and blocks for the temporal filter, and convert camera noise to integers.
 
 The filter computes with integers in the unit u = 2^−`protect` DN, where `protect` is the number of bits that raw values
-leave unused in a 16-bit word. Values of every camera therefore use all 16 bits, and the recursive filter preserves fractions
-of a DN.
+leave unused in a 16-bit word. For every camera, values therefore use all 16 bits, and the recursive filter preserves
+fractions of a DN.
 """
 
 from dataclasses import dataclass
@@ -19,10 +19,10 @@ LANES = 8  # kernels process this number of pixels in parallel, so the width of 
 DEEP = 16  # bits per value
 LINEAR_FRACTION = 8  # fractional bits of the linear noise term
 UNEVEN_FRACTION = 24  # fractional bits of the quadratic noise term
-NOISE_FRACTIONS = (1.0, 0.5, 0.25)  # noise fractions to which class thresholds can be adapted
+NOISE_FRACTIONS = (1.0, 0.5, 0.25)  # possible noise fractions of a filtered frame
 MAX_UNEVEN = 1 << 20  # limit of the quadratic term, where the fixed pattern is a quarter of the signal
 MAX_FIXED = 1 << 28  # limit of the constant fixed-pattern term, where the fixed pattern is a quarter of the range
-ROW_PERIODS_PER_READ = 8  # the mean level of a frame is computed from every eighth row of CFA periods
+ROW_PERIODS_PER_READ = 8  # a frame's mean level is computed from every eighth row of CFA periods
 # Largest variance of row and column noise, relative to the pixel noise variance. At this limit, 5 % more noise remains in a
 # static scene.
 MAX_LINES = 1 / 16
@@ -31,7 +31,7 @@ TABULATED_LEVELS = 256  # number of levels at which the noise of frame differenc
 
 @dataclass(frozen=True)
 class Grid:
-    """Division of a frame into cells, with one blending weight each, and blocks, with one motion vector each.
+    """Division of a frame into cells and blocks. Each cell has a blending weight, and each block has a motion vector.
 
     Sizes are (rows, columns) in pixels.
     """
@@ -70,8 +70,8 @@ class Grid:
     def window(self, level: int) -> tuple[int, int]:
         """Return the size (rows, columns) of a block's window at one level of the image pyramid, in samples.
 
-        The window is usually the block itself. If the block has at most four rows (columns) at this level, two rows
-        (columns) are added on each side.
+        The window is usually the block itself. If the block has at most four rows at this level, two rows are added on each
+        side. The same applies to columns.
         """
         units = (side // (period << level) for side, period in zip(self.block, self.period, strict=True))
         rows, cols = (count + 4 if count <= 4 else count for count in units)
@@ -108,8 +108,8 @@ class NoiseTerms:
     """Integer coefficients of the pixel noise, in u.
 
     At the signal S above black, the temporal noise variance is (linear · S >> LINEAR_FRACTION) + constant, and the variance
-    of the fixed pattern is fixed + (uneven · S² >> UNEVEN_FRACTION). The fixed pattern matters only in moving blocks, where
-    different pixels are compared.
+    of the fixed pattern is fixed + (uneven · S² >> UNEVEN_FRACTION). The fixed pattern is relevant only in moving blocks,
+    because different pixels are compared there.
     """
 
     protect: int  # left shift that converts DN to u
@@ -192,12 +192,12 @@ def of_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16
 
 
 def kind_of(frame: RawFrame) -> tuple[object, ...]:
-    """Return the properties in which frames must agree so that the filter can blend them."""
+    """Return the properties that must be the same in all frames that the filter blends."""
     return frame.values.shape, frame.phase, frame.black_level, frame.white_level
 
 
 def settings_of(frame: RawFrame) -> tuple[float, float | None]:
-    """Return the analog gain and the exposure time (s, None if unknown) of a frame."""
+    """Return a frame's analog gain, and its exposure time in s (None if unknown)."""
     return frame.gain, frame.exposure
 
 
@@ -211,10 +211,10 @@ def times_brighter(now: tuple[float, float | None], before: tuple[float, float |
 
 
 def require_noise(camera: CameraModel | None) -> CameraModel:
-    """Return a table's camera if the temporal filter can be used with it, otherwise raise a RecipeError.
+    """Return a table's camera, or raise a RecipeError if the temporal filter cannot be used with it.
 
-    This excludes tables without a camera (None) and cameras with strong row or column noise, which does not average out in
-    the filter's sums over cells. Noise that masked pixels remove is not counted.
+    The table must contain its camera. The camera must not have strong row or column noise, because such noise does not
+    average out in the filter's sums over cells. Noise that is removed with masked pixels is not counted.
     """
     if camera is None:
         raise RecipeError(

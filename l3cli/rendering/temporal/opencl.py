@@ -169,8 +169,8 @@ class OpenCLFilter:
     def filtered(self, frame: RawFrame) -> RawFrame:
         """Blend the next frame with the previous frames, and return the result with its remaining noise fractions.
 
-        The filter restarts if the size, phase or levels of the frame have changed. If the gain or exposure time has changed,
-        it converts its state first.
+        If the size, phase or levels of the frame have changed, the filter restarts. If the gain or exposure time has
+        changed, the filter first converts its state.
         """
         with refusals(self._device.device):
             first = kind_of(frame) != self._kind
@@ -225,7 +225,8 @@ class OpenCLFilter:
         self._planes(buffers.history[0], buffers.before, buffers.now, 0)
 
     def _planes(self, values: Any, made: Any, before: Any, free_bits: int) -> None:
-        """Compute the image pyramid of the new frame `values` in `made`, and complete the previous frame's in `before`.
+        """Compute two image pyramids: the new frame's pyramid in `made`, from `values`, and the previous frame's in
+        `before`.
 
         `before` already contains the finest plane.
         """
@@ -282,8 +283,8 @@ def opencl_filters(
     The filters share their kernels, so they must all be used in the same thread.
     """
     shared = Device(period, device, variant)
-    # PoCL compiles a kernel when it first runs. Filtering two tiny frames compiles all kernels now, before a renderer in
-    # another thread compiles its own.
+    # PoCL compiles a kernel when it is first run. Two tiny frames are filtered now, so that all kernels are compiled before
+    # a renderer in another thread compiles its kernels.
     first, tiny = OpenCLFilter(shared, period, camera), Grid.of((1, 1), period).shape
     for _ in range(2):
         first.filtered(RawFrame("none", np.zeros(tiny, np.uint16), camera.black_level, camera.white_level))

@@ -24,14 +24,15 @@ from l3cli.rendering.temporal.noise import (
     to_units,
 )
 
-# Values are in the unit u (see the module `noise`). Residuals are values of the new frame minus filtered values of the
+# Values are in the unit u (see the module `noise`). A residual is a value in the new frame minus the filtered value in the
 # previous frame.
 ONE = 1 << 10  # fixed-point representation of 1, for weights and noise fractions
-# The squared residuals over 3 × 3 cells indicate motion only above 5/4 of their expected sum. The excess is multiplied by 4.
+# The sum of squared residuals over 3 × 3 cells indicates motion only above 5/4 of its expected value. The excess is
+# multiplied by 4.
 POWER_FACTOR, POWER_FREE = 4, 5
 MEAN_FREE = 2  # the squared residual sum of single cells indicates motion only above this multiple of its expected value
-WIDE_FREE = 6  # like MEAN_FREE, for the squared residual sum of 3 × 3 cells
-CUT = 8  # the scene has changed in a cell if its squared residuals exceed their expected sum by this factor
+WIDE_FREE = 6  # the same for the squared residual sum of 3 × 3 cells
+CUT = 8  # the scene has changed in a cell if the sum of its squared residuals exceeds the expected value by this factor
 CLIPPED = (1 << 14) - 1  # limit of residuals in u, so that kernels sum their squares in 32 bits
 MOST_POWER = (1 << 32) - 1  # limit of a cell's squared residuals in u², so that kernels need only 32 bits
 MOST_VARIANCE = (1 << 29) - 1  # limit of a cell's noise variance in u², so that kernels need only 32 bits
@@ -53,7 +54,7 @@ class Blend:
 
 
 def first_blend(values: NDArray[np.uint16], grid: Grid) -> Blend:
-    """Return the filter state after the first frame of a scene, with values in u, extended to whole blocks."""
+    """Return the filter state after the first frame of a scene. The values are in u, extended to whole blocks."""
     return Blend(values, np.full(grid.cells, ONE, np.int64))
 
 
@@ -204,8 +205,8 @@ class ReferenceFilter:
     def filtered(self, frame: RawFrame) -> RawFrame:
         """Blend the next frame with the previous frames, and return the result with its remaining noise fractions.
 
-        The filter restarts if the size, phase or levels of the frame have changed. If the gain or exposure time has changed,
-        it converts its state first.
+        If the size, phase or levels of the frame have changed, the filter restarts. If the gain or exposure time has
+        changed, the filter first converts its state.
         """
         kind = kind_of(frame)
         grid = Grid.of(frame.values.shape, self._period)

@@ -1,1 +1,1 @@
-"""Scene white points, how to find them, and white balance."""
+"""Find the white point of a scene, and apply white balance."""

@@ -1,7 +1,7 @@
-"""Scene white points and white balance (docs/method.md#scene-white).
+"""Compute a scene's white point and white balance (docs/method.md#scene-white).
 
-White balance has two steps: a gain per channel before rendering, and a matrix after rendering, which adapts the outputs from
-the scene's white point to D65.
+White balance has two steps. Before rendering, each channel is multiplied by a gain. After rendering, a matrix adapts the
+outputs from the scene's white point to D65.
 """
 
 import functools
@@ -26,9 +26,9 @@ from l3cli.rendering.reference import ReferenceRenderer
 
 Array = NDArray[np.floating]
 MAX_CLIPPED = 0.01  # a grey area may contain at most this fraction of clipped pixels
-FLAT = 0.5  # a channel counts as clipped if more than this fraction of its pixels have the largest value of the frame
+FLAT = 0.5  # a channel counts as clipped if more than this fraction of its pixels have the frame's largest value
 MIN_CERTAINTY = 50.0  # smallest ratio of a channel's mean signal in a grey area to the standard error of this mean
-# Areas with a less certain mean are reported as too dark below this fraction of full scale, and as not uniform above it.
+# If the ratio is smaller, the area is reported as too dark below this fraction of full scale, and as not uniform above it.
 DARK_FRACTION = 0.01
 
 
@@ -36,7 +36,7 @@ DARK_FRACTION = 0.01
 class Grey:
     """A rectangular area of a frame that shows a grey object."""
 
-    name: str  # how messages call the area
+    name: str  # name of the area in messages
     where: tuple[slice, slice]  # rows and columns in sensor orientation
 
 
@@ -68,7 +68,7 @@ class Square:
         top, left = (left, top) if turned else (top, left)
         top = rows - top - self.size if frame.orientation & 2 else top
         left = cols - left - self.size if frame.orientation & 1 else left
-        if frame.warps:  # lens correction moves the square to another place in the picture
+        if frame.warps:  # the square refers to the picture after lens correction
             half = (self.size - 1) / 2
             middle = source_places(frame.warps, np.array(top + half), np.array(left + half), GREEN)
             moved = [round(float(place) - half) for place in middle]
@@ -138,7 +138,7 @@ class GreyRenderer:
 def _shading_corrected(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
     """Crop a frame to a small area, and correct its colour shading.
 
-    Shading common to all channels is ignored, because it is nearly constant over a small area. The result keeps the `phase`
+    The mean shading of all channels is ignored, because it is nearly constant over a small area. The result has the `phase`
     of the whole frame.
     """
     shading = frame.shading
@@ -147,7 +147,7 @@ def _shading_corrected(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
 
 
 def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]) -> tuple[NDArray[np.float64], str]:
-    """Return the mean signal of each channel in an area, in DN, and why the area cannot be used, or "".
+    """Return each channel's mean signal in an area, in DN, and the reason why the area cannot be used ("" if it can).
 
     The reason continues a sentence that starts with the area's name: "is clipped in 12% of its pixels; …".
     """
@@ -192,7 +192,7 @@ def adaptation(white: Array) -> NDArray[np.float64]:
 
 
 def plain_balance(white: Array, channels: int) -> WhiteBalance:
-    """Return a white balance without gains, which only adapts the outputs from `white` (XYZ) to D65."""
+    """Return a white balance without gains, with the outputs adapted from `white` (XYZ) to D65."""
     return WhiteBalance(np.ones(channels), adaptation(white), 1.0)
 
 
@@ -231,8 +231,8 @@ def _curves(zero: float, white_level: float, gains: tuple[float, ...]) -> NDArra
 class SteadyWhite:
     """Smooths the white balance of a sequence over time, frame by frame.
 
-    The first frame uses its measured white balance. Afterwards, the white balance approaches the measured one exponentially,
-    with the same time constant as the automatic exposure. Later frames have no influence.
+    The first frame uses its measured white balance. Afterwards, the white balance approaches the measured values
+    exponentially, with the same time constant as the automatic exposure. Later frames do not affect a frame's white balance.
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -242,7 +242,8 @@ class SteadyWhite:
     def balance(self, wanted: WhiteBalance | None) -> WhiteBalance | None:
         """Return the smoothed white balance for the next frame, or None as long as no white balance has been measured.
 
-        `wanted` is the white balance measured in this frame. If it is None, the white balance of the previous frame remains.
+        `wanted` is the white balance measured in this frame. If it is None, the result is the previous frame's white
+        balance.
         """
         if wanted is not None:
             self._now = wanted if self._now is None else _between(self._now, wanted, self._share)
@@ -250,7 +251,7 @@ class SteadyWhite:
 
 
 def followed_share(rate: Fraction) -> float:
-    """Return the fraction of a step change to which exposure and white balance adapt within one frame.
+    """Return the fraction of a sudden change by which exposure and white balance follow within one frame.
 
     `rate` is in frames per second.
     """
@@ -298,8 +299,9 @@ class SceneWhite:
 class Whites:
     """Computes white balances for one table.
 
-    The channel gains bring grey objects to the channel ratios of the training illuminant. Otherwise highlights and the edges
-    of grey objects would be coloured. This requires that the table contains its camera and its training illuminant.
+    The channel gains give grey objects the channel ratios that they have under the training illuminant. Otherwise,
+    highlights and the edges of grey objects would be coloured. The gains can be computed only if the table contains its
+    camera and its training illuminant.
 
     If the table contains its camera and the scene illuminant is plausible, the output matrix also corrects surface colours.
     """
@@ -364,9 +366,9 @@ class Whites:
     def of_chromaticity(self, white: Array) -> SceneWhite:
         """Return the white point of a scene in which a white object has the given XYZ.
 
-        The illuminant is assumed to be the nearest black body or daylight with a green or magenta tint. As in `of_xyz`,
-        there are no gains if this illuminant is implausible, if `white` is the table's own white point, or if the table does
-        not contain its camera.
+        The illuminant is assumed to be the nearest black body or daylight with a green or magenta tint. In three cases, the
+        result has no gains, as in `of_xyz`: if this illuminant is implausible, if `white` is the table's own white point, or
+        if the table does not contain its camera.
         """
         camera = self.table.camera
         if camera is None or np.linalg.norm(uv(white) - uv(self.table.white_point[:3])) < SAME_WHITE:
@@ -378,7 +380,7 @@ class Whites:
         return SceneWhite(self._balance(camera.signal_weights @ light.radiance, light), light, True)
 
     def of_xyz(self, white: Array) -> SceneWhite:
-        """Return a white point without gains, for a scene in which a white object has the given XYZ.
+        """Return the white point of a scene in which a white object has the given XYZ, with a white balance without gains.
 
         The white balance only adapts the outputs.
         """
@@ -416,7 +418,7 @@ class Whites:
         return WhiteBalance(gains, matrix, float(before / after / raised))
 
     def _gains(self, neutral: Array) -> NDArray[np.float64]:
-        """Return channel gains (at least 1) that bring a grey object to its channel ratios under the training illuminant."""
+        """Return the channel gains, at least 1, that give a grey object its channel ratios under the training illuminant."""
         if self.trained is None:
             return np.ones(len(neutral))
         seen = (neutral > 0) & (self.trained > 0)  # under some lamps, an infrared channel receives no light

@@ -1,8 +1,8 @@
-"""Finds the white point of a scene (docs/method.md#scene-white).
+"""Find the white point of a scene (docs/method.md#scene-white).
 
 The white point is read from the file, measured on a grey object or a ColorChecker in the frame, or estimated from the whole
-frame. The estimate is the mean of the grey-edge and white-patch methods, replaced by the most probable illuminant on a grid
-around daylight and black bodies.
+frame. To estimate it, l3 averages the results of the grey-edge and white-patch methods, and then selects the most probable
+illuminant on a grid around daylight and black bodies.
 """
 
 import re
@@ -33,14 +33,14 @@ MIN_SAMPLES = 24  # an estimate needs at least this many samples that are neithe
 MIREDS = np.arange(80.0, 521.0, 20.0)  # reciprocal colour temperatures in mired (10^-6/K), 12 500 K to 1920 K
 GREENS = np.linspace(-0.2, 0.4, 7)  # green (positive) or magenta (negative) tints, in the unit of correlated_lights.GREENS
 SEARCH_POINTS = (111, 31)  # size of the search grid along MIREDS and GREENS
-LIKELY_ERROR = 0.1  # assumed standard deviation of the estimated log cone ratios
+LIKELY_ERROR = 0.1  # assumed standard deviation of the error in the estimated log cone ratios
 LIKELY_GREEN = 0.1  # assumed standard deviation of an illuminant's tint
 
 
 class AutoWhite:
     """Estimates the white point of a frame from about 1500 pixels.
 
-    The pixels are rendered on the CPU, so the estimate does not depend on the OpenCL device.
+    The pixels are rendered on the CPU, so that the estimate does not depend on the OpenCL device.
 
     Parameters
     ----------
@@ -141,8 +141,8 @@ def estimated(cones: Array, usable: NDArray[np.bool_]) -> Array | None:
 def _neutrals(table: TransformTable) -> Array:
     """Return a grey object's channel signals for a grid of illuminants around daylight and black bodies.
 
-    The result has the axes (mired, green, channel). Without a camera in the table, it contains the XYZ of each illuminant
-    instead, assuming that the table renders every white point correctly.
+    The result has the axes (mired, green, channel). If the table does not contain its camera, the result is the XYZ of each
+    illuminant. This assumes that the table renders every white point correctly.
     """
     camera = table.camera
     grid = camera.wavelength if camera else correlated_lights.WAVELENGTH
@@ -169,7 +169,7 @@ def _between(values: Array, rows: Array, cols: Array) -> Array:
 
 
 NEUTRALS = range(18, 24)  # indices of the neutral patches, from white to black
-CORE = 0.25  # half the side of the measured square, as a fraction of the patch side; the square avoids the patch edges
+CORE = 0.25  # half the side of the measured square in a patch, as a fraction of the patch side
 WAVELENGTH = np.arange(400.0, 701.0, 10.0)  # nm
 # Smallest R² of the fit at which a chart counts as found. In tests, R² was at most 0.83 in 48 pictures without a chart, and
 # 0.998 in two pictures with a chart.
@@ -256,12 +256,12 @@ class WhiteSource(Protocol):
 
     @property
     def about(self) -> str:
-        """How the white point is found, for messages, such as "measured on a ColorChecker"."""
+        """Description of the method for messages, such as "measured on a ColorChecker"."""
         ...
 
     @property
     def held(self) -> bool:
-        """Whether the whole sequence uses the white point of its first frame."""
+        """Whether all frames of a sequence use the white point of the first frame."""
         ...
 
     def white(self, frame: RawFrame) -> SceneWhite | None:
@@ -278,7 +278,7 @@ class WhiteSource(Protocol):
 class CameraWhite:
     """Reads the white balance that the camera recorded in the file.
 
-    If the file has no white balance, `white` returns None, unless the user has requested this method (`asked`). It then
+    If the file contains no white balance, `white` returns None. If the user has requested this method (`asked`), it instead
     raises an InputFileError.
     """
 
@@ -421,7 +421,7 @@ def _multipliers(text: str, channels: Sequence[str]) -> Array:
     Raises
     ------
     RecipeError
-        If the number of multipliers is not the number of channels, or if a multiplier is out of range.
+        If there is not one multiplier per channel, or if a multiplier is out of range.
     """
     parts, names = text.split(","), ", ".join(channels)
     if len(parts) != len(channels):
