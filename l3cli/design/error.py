@@ -1,9 +1,9 @@
 """Predict the error of a colour filter array from moments of spectral patches (docs/method.md#designs).
 
-The moments are computed once for each lens, pixel and illuminant. The error of any array then follows in closed form,
-without training, for each group of patches. For errors in CIELAB, a patch with the luminance Y has the weight
-(Y + 0.02)^(-2/3), which is proportional to the slope of CIELAB at a grey. An error of 1 is then about one ΔE00. For linear
-errors, all weights are 1. A filter contributes no information in a group of patches in which its mean signal clips.
+The moments are computed once for each lens, pixel and illuminant. The error of any array, in each group of patches, then
+follows in closed form without training. For errors in CIELAB, a patch with the luminance Y has the weight (Y + 0.02)^(-2/3),
+which is proportional to the slope of CIELAB at a grey. An error of 1 is then about one ΔE00. For linear errors, all weights
+are 1. If a filter's mean signal clips in a group of patches, the filter contributes no information in this group.
 """
 
 from dataclasses import dataclass, replace
@@ -57,7 +57,9 @@ def spectral_power(reflectance: NDArray[np.floating], rate: NDArray[np.floating]
 
 
 def principal_spectra(power: Array, white: Array) -> NDArray[np.float64]:
-    """Compute the principal spectra of scenes, at least three, that represent a fraction KEPT_POWER of the spectral power.
+    """Compute the principal spectra of scenes that represent the fraction KEPT_POWER of the spectral power.
+
+    There are at least three principal spectra.
 
     Parameters
     ----------
@@ -87,7 +89,7 @@ def gather(
     patches: int,
     rng: np.random.Generator,
 ) -> None:
-    """Add patches at random positions in a scene to the sums.
+    """Add the moments of patches at random positions in a scene to the sums.
 
     Parameters
     ----------
@@ -143,7 +145,7 @@ def groups_of(around: NDArray[np.float32]) -> NDArray[np.intp]:
 
 
 def in_all_orientations(sums: Sums, terms: int) -> Sums:
-    """Average the sums over the eight orientations of a patch, so that rotated and mirrored arrays have equal errors."""
+    """Average the sums over the eight orientations of a patch. Rotated and mirrored arrays then have equal errors."""
     taps = np.arange(SIDE**2 * terms).reshape(SIDE, SIDE, terms)
     behind = np.arange(taps.size, taps.size + SOFT.stop + terms)
     moment, mean = np.zeros_like(sums["moment"]), np.zeros_like(sums["mean"])
@@ -175,7 +177,7 @@ class Noise:
 
 
 def noise_of(camera: CameraModel) -> Noise:
-    """Return a camera's noise parameters, without regard to differences in exposure or gain between channels."""
+    """Return a camera's noise parameters. Differences in exposure or gain between channels are ignored."""
     noise = camera.corrected_noise()
     floor = noise.temporal + noise.fixed + QUANTISATION / camera.gain**2
     rows, columns = (each / camera.gain**2 for each in camera.line_variances())
@@ -224,9 +226,9 @@ def exposure(level: Level, noise: Noise, white: float) -> tuple[float, float]:
 class Seen:
     """Moments of filter signals and outputs under one illuminant, for each group of patches.
 
-    The moments contain the signals of all filters at all taps, from which the moments for an array are selected. The class
-    also represents moments of the principal spectra, before any filter is applied. The axis "filter" then contains the
-    principal spectra, and `white` is empty.
+    They are the moments of all filters at all taps. The moments of an array are a selection of them. The class is also used
+    for moments of the principal spectra, before filters are applied. The axis "filter" then contains the principal spectra,
+    and `white` is empty.
     """
 
     signal: Array  # (filter, filter, group, tap, tap): second moments of the signals
@@ -244,7 +246,7 @@ class Seen:
 
 
 def spectra_of(moments: LightMoments, output: str, counts: str, curves: Array) -> Seen:
-    """Compute the moments of the principal spectra and the outputs that a design recipe requests.
+    """Compute the moments of the principal spectra and of the outputs that a design recipe specifies.
 
     Parameters
     ----------
@@ -253,7 +255,7 @@ def spectra_of(moments: LightMoments, output: str, counts: str, curves: Array) -
     output, counts : str
         Values of the keys `output` and `counts` in the design recipe.
     curves : ndarray, (filter, wavelength)
-        Quantum efficiencies of the filters, which define the outputs if `output` is "bands". Otherwise they are unused.
+        Quantum efficiencies of the filters. They define the outputs if `output` is "bands". Otherwise, they are not used.
     """
     rows, weighting = wanted_outputs(moments, output, counts, curves)
     terms, number, place = moments.terms, np.maximum(moments.patches, 1.0), WEIGHTINGS.index(weighting)
@@ -324,7 +326,7 @@ def site_filters(cfa: Cfa) -> NDArray[np.intp]:
 
 
 def array_errors(seen: Seen, cfa: Cfa, noise: Noise, level: Level) -> NDArray[np.float64]:
-    """Predict an array's error in each group of patches, averaged over the array's sites: (group,)."""
+    """Predict an array's error in each group of patches, averaged over its sites: (group,)."""
     filters, tap, weight = site_filters(cfa), np.arange(SIDE**2), seen.weight[:, None]
     matrix = seen.signal[filters[:, :, None], filters[:, None, :], :, tap[:, None], tap].transpose(0, 3, 1, 2)
     cross = seen.cross[:, :, tap, filters].transpose(2, 0, 3, 1)  # (site, group, tap, output)
@@ -347,7 +349,7 @@ def array_errors(seen: Seen, cfa: Cfa, noise: Noise, level: Level) -> NDArray[np
 def clips_everything(seen: Seen, level: Level, noise: Noise) -> bool:
     """Whether every filter's mean signal clips in every group of patches at a light level.
 
-    Automatic exposure is computed for each filter as if the array consisted only of this filter.
+    If the exposure is automatic, it is computed for each filter as if the array consisted only of this filter.
     """
     doses, filled = np.array([exposure(level, noise, white)[0] for white in seen.white]), seen.patches > 0
     signals = seen.mean[filled].mean(axis=1) / seen.weight[filled, None] * doses  # (group, filter)

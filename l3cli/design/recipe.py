@@ -1,4 +1,4 @@
-"""The design recipe: the pixel, the filters, the candidate arrays, the light levels, and the error to minimise."""
+"""The design recipe: the pixel, filters, candidate arrays and light levels of a design, and the error to minimise."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping
@@ -49,13 +49,13 @@ Curves = NDArray[np.float64]  # (filter, wavelength) or (wavelength,)
 
 
 class PixelRecipe(Recipe):
-    """Section [pixel]: the pixel, which is the same under all filters."""
+    """Section [pixel]: the pixel under the filters."""
 
     camera: str = "bayer"  # camera model or camera recipe (file or name) with the sensor, the noise and the lens
     # Quantum efficiency of the pixel with the lens but without a filter: a number, or the name of a CSV file. It is
     # multiplied by the transmittance of each filter.
     bare: float | str = 0.6
-    pitch_um: Positive | None = None  # this key and the keys below override values of the camera
+    pitch_um: Positive | None = None  # this key and the keys below override the camera's values
     well_e: Positive | None = None  # full-well capacity; the gain is scaled so that a full well is at full scale
     read_noise_e: NotNegative | None = None
     f_number: Positive | None = None

@@ -1,7 +1,7 @@
-"""Search for the best filter array by evaluating all distinct arrays or, if there are too many, by simulated annealing.
+"""Search for the best filter array.
 
-Arrays are equivalent if they differ only by a shift, a rotation or a reflection. Only one of several equivalent arrays is
-evaluated.
+All distinct arrays are evaluated or, if there are too many, simulated annealing is used. Arrays are equivalent if they
+differ only by a shift, a rotation or a reflection. Only one of several equivalent arrays is evaluated.
 """
 
 import functools
@@ -18,7 +18,7 @@ from l3cli.design.error import Cfa, Level, Noise, Seen, array_errors
 
 MAX_ENUMERATED = 4_000_000  # largest number of arrays, including equivalent ones, to enumerate
 MAX_EVALUATED = 100_000  # largest number of distinct arrays to evaluate
-INDEPENDENT = 1e-3  # fraction of the largest singular value above which a singular value counts as an independent output
+INDEPENDENT = 1e-3  # smallest singular value that counts as an independent output, relative to the largest singular value
 START_TEMPERATURE, END_TEMPERATURE = 0.03, 0.0005  # temperatures of simulated annealing, relative to the error
 Arrays = NDArray[np.integer]  # (array, site): filter at each site
 Allowed = Callable[[Sequence[int]], bool]  # tests whether an array may consist of a given set of filters
@@ -26,7 +26,7 @@ Allowed = Callable[[Sequence[int]], bool]  # tests whether an array may consist 
 
 @dataclass(frozen=True)
 class Problem:
-    """Everything that determines an array's error: the scenes, the light levels and the pixel's noise."""
+    """Everything that determines an array's error, except the array: scenes, light levels and pixel noise."""
 
     seen: tuple[Seen, ...]  # moments under each illuminant
     levels: tuple[Level, ...]

@@ -47,7 +47,7 @@ DESCENT = {"maxiter": 60, "eps": 1e-4}  # options for `scipy.optimize.minimize`
 class Task:
     """A design recipe, with its scene moments and all files to which it refers.
 
-    Only the two paths are sent to worker processes. Each process reads the files once.
+    Worker processes receive only the two paths. Each process reads the files once.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ class Task:
 
     @functools.cached_property
     def levels(self) -> tuple[Level, ...]:
-        """Light levels of the recipe, with a luminance of 100 cd/m² if the recipe specifies none."""
+        """Light levels of the recipe. If the recipe specifies no luminance, it is 100 cd/m²."""
         levels, lights = [], [light.illuminant for light in self.lights]
         for one in self.wanted.level:
             luminance = one.lux / np.pi if one.lux is not None else one.luminance_cd_m2 or 100.0
@@ -143,7 +143,7 @@ class Task:
         return sites("/".join(rows), self.names)
 
     def choice(self, pattern: PatternRecipe) -> tuple[list[int], list[int] | None]:
-        """Return the filters that a pattern's arrays may contain, and the number of sites per filter, or None for any."""
+        """Return the filters that a pattern's arrays may contain, and the number of sites of each (None for any number)."""
         filters = [self.names.index(name) for name in (pattern.counts or pattern.filters or self.names)]
         return filters, list(pattern.counts.values()) if pattern.counts else None
 
@@ -180,7 +180,7 @@ class Task:
         return [np.array([[green, red], [blue, green]]) for blue, green, red in threes if self.allowed([blue, green, red])]
 
     def require_same_pixel(self) -> None:
-        """Raise InputFileError if the scene moments are for another f-number or pixel pitch."""
+        """Raise InputFileError if the scene moments were computed for another f-number or pixel pitch."""
         wanted, given = (self.pixel.pixel_pitch, self.pixel.optics.f_number), (self.scenes.pixel_pitch, self.scenes.f_number)
         if not np.allclose(wanted, given, rtol=PIXEL_TOLERANCE, atol=0):
             theirs, ours = (f"pixels of {1e6 * pitch:g} µm at f/{f_number:g}" for pitch, f_number in (given, wanted))
@@ -244,14 +244,15 @@ class Task:
     def descended(self, seed: int, number: int) -> dict[str, NDArray]:
         """Optimise the filters by gradient descent from one starting point.
 
-        The gradient is computed by finite differences, which are as fast as an analytic gradient.
+        The gradient is computed by finite differences. They are as fast as an analytic gradient.
 
         Parameters
         ----------
         seed : int
             Random seed.
         number : int
-            Index of the starting point. Starting point 0 is the filters in the recipe. All others are random variations.
+            Index of the starting point. Starting point 0 consists of the filters in the recipe. All others are random
+            variations of them.
 
         Returns
         -------
@@ -290,7 +291,7 @@ def _task(recipe: Path, moments: Path) -> Task:
 
 
 UNITS = {"lab": "ΔE00", "scielab": "ΔE of soft chroma", "luminance": "L*", "linear": "% of white"}
-# number of arrays in a design, in addition to the best Bayer array and the best array at each light level
+# Number of arrays in a design, in addition to the best Bayer array and the best array at each light level.
 LISTED_ARRAYS = 100
 SHIFT = 5.0  # shift of a filter in the sensitivity analysis, in nm
 DOSES = 10.0 ** np.arange(-2.0, 1.26, 0.25)  # exposures in the plot of error against exposure, in cd s/m²

@@ -1,1 +1,1 @@
-"""Export to other software: camera models as profiles, and transform tables as C source or plain arrays."""
+"""Export camera models as profiles, and transform tables as C source or plain arrays, for other software."""

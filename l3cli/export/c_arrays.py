@@ -45,13 +45,13 @@ class Array:
     name: str
     values: NDArray
     axes: str  # comment above the array: its meaning, and its axes in parentheses
-    # Whether the array is flattened and written as string literals of its bytes, because compilers parse strings fifty times
-    # faster than numbers.
+    # Whether the array is flattened and written as string literals of its bytes. Compilers parse strings fifty times as fast
+    # as numbers.
     packed: bool = False
 
     @property
     def local(self) -> bool:
-        """Whether the array is static, because only l3_table.c uses it."""
+        """Whether only l3_table.c uses the array, so that it is static."""
         return not self.name.startswith("l3_")
 
     @property
@@ -91,7 +91,7 @@ def filled(taps: int) -> int:
 def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[Array], list[str]]:
     """Return the arrays of l3_table.c, and the C lines that follow them.
 
-    The last layer has float weights, or the 16-bit weights in `short`, if any.
+    If `short` is None, the last layer has float weights. Otherwise, it has the 16-bit weights in `short`.
     """
     rule, neighbours = table.first.rule, neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
     arrays = [
@@ -151,9 +151,9 @@ def _last_floats(table: TransformTable) -> list[Array]:
 
 
 def _ratio_weights(taps: NDArray) -> list[Array]:
-    """Return the weights of the taps after the window taps: colour ratios and bilateral chroma.
+    """Return the weights of colour ratios and bilateral chroma, the taps that follow the window taps.
 
-    The list is empty if the layer has no such taps.
+    If the layer has no such taps, the list is empty.
     """
     return [Array("l3_ratio_weights", taps, "(class, output, tap)", packed=True)] if taps.size else []
 

@@ -27,7 +27,7 @@ from l3cli.system.text import printable
 TEMPERATURES = {"A": 2856, "D50": 5003, "D65": 6504}  # illuminant → correlated colour temperature in K
 STEP_NM = 5.0  # wavelength spacing for computing colour matrices, in nm
 VISIBLE = (380.0, 780.0)  # visible range in nm
-# If a channel's response to grey, relative to the most sensitive channel, is below this limit, its signal is almost only
+# If a channel's response to grey is below this fraction of the most sensitive channel's response, its signal is almost only
 # noise, and no colour matrices are computed.
 DIMMEST = 1e-4
 TYPICAL = 0.2  # signal, as a fraction of white, at which the matrices balance noise against colour errors
@@ -36,9 +36,9 @@ BLACK_BODIES = (2200, 2500, 2856, 3200, 3600)  # colour temperatures (K) of blac
 DAYLIGHTS = (4500, 5000, 5500, 6500, 7500, 8600)  # colour temperatures (K) of daylight in the white-balance curve
 NOISE_LEVELS = 64  # a noise profile is fitted to this number of signals, from 1 DN (at 16 bits) to the white level
 MIN_COLOURS = 3  # colour matrices require at least this number of channels with different responsivities
-# The number of channels with different responsivities is the number of singular values above this fraction of the largest
-# one, after each channel is scaled to a sum of 1. For equal channels measured with errors of 5 %, the smaller singular
-# values reach 0.03. For RCCG, the third one is 0.2.
+# The number of channels with different responsivities is the number of singular values of at least this fraction of the
+# largest one, after each channel is scaled to a sum of 1. If equal channels are measured with errors of 5 %, the smaller
+# singular values reach 0.03. For RCCG, the third singular value is 0.2.
 DIFFERENT = 0.05
 RGB = ({"r", "red"}, {"g", "green"}, {"b", "blue"})  # names of red, green and blue channels
 SIGNAL_BITS = 16  # bit depth of the signals in tuning files
@@ -101,7 +101,7 @@ def light_matrices(camera: CameraModel, light: str) -> LightMatrices | None:
     """Fit the colour matrices of a camera for a named illuminant.
 
     The result is None if fewer than three channels have different responsivities, or if a channel's response to grey is
-    below DIMMEST times that of the most sensitive channel.
+    below DIMMEST times the most sensitive channel's response.
     """
     neutral, balanced = _responses(camera, light)
     if neutral.min() < DIMMEST or _colours_of(camera) < MIN_COLOURS:
@@ -129,7 +129,7 @@ def _colours_of(camera: CameraModel) -> int:
 
 
 def _colour_matrix(xyz: Array, white: Array, channels: Array, neutral: Array) -> Matrix:
-    """Fit a ColorMatrix (n, 3) whose pseudo-inverse, which raw converters apply, has small colour errors."""
+    """Fit a ColorMatrix (n, 3) so that its pseudo-inverse, which raw converters apply, has small colour errors."""
     start = fit_through(xyz, channels, white, neutral)
     ours = refinement(channels @ np.linalg.pinv(start).T, xyz, white)
     values = np.round(start @ np.linalg.inv(ours), DIGITS)
@@ -221,8 +221,9 @@ def temperature_curve(camera: CameraModel, order: tuple[int, int, int]) -> Array
     Returns
     -------
     ndarray, (temperature, 3), or None
-        Temperature in K, r/g and b/g, for black bodies and daylight. None if the signal in g is almost 0. Also None unless
-        r/g decreases and b/g increases monotonically with temperature, because libcamera searches along the curve.
+        Temperature in K, r/g and b/g, for black bodies and daylight. None if the signal in g is almost 0. Also None if r/g
+        does not decrease, or b/g does not increase, monotonically with temperature, because libcamera searches along the
+        curve.
     """
     names = [f"{kelvin}K" for kelvin in BLACK_BODIES] + [f"D{kelvin}K" for kelvin in DAYLIGHTS]
     greys = np.array([_responses(camera, name)[0] for name in names])
@@ -265,8 +266,9 @@ def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target
     """Fit a Raspberry Pi's shading tables to a flat field.
 
     The ISP interpolates between the centres of the table's cells, and uses constant values from the outermost centres to the
-    edges of the frame. Simply storing the gains at the centres would be inaccurate: for a lens that halves the light in the
-    corners, the error there would be 4 %. The tables are therefore smooth least-squares fits that model this interpolation.
+    edges of the frame. If the tables contained the gains at the centres, they would be inaccurate: for a lens that halves
+    the light in the corners, the error there would be 4 %. The tables are therefore smooth least-squares fits that take this
+    interpolation into account.
 
     Parameters
     ----------
@@ -397,7 +399,7 @@ class Exported(NamedTuple):
 
     files: dict[str, str]  # file name → content
     errors: dict[str, dict[str, dict[str, Any]]]  # illuminant → matrix name → colour errors (see `errors`)
-    note: str | None  # which files are missing, and why; None if there are all
+    note: str | None  # names of missing files, and the reason; None if no file is missing
 
 
 def export(camera: CameraModel) -> Exported:

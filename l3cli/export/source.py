@@ -1,7 +1,7 @@
 """Export a table as C99 source.
 
-The source consists of files from c/, and of macros and constant arrays with the numbers of the table. The code for optional
-class features is converted from OpenCL to C by renaming types.
+The source consists of files from c/, and of macros and constant arrays with the table's numbers. The code for optional class
+features is converted from OpenCL to C by renaming types.
 """
 
 import json
@@ -56,7 +56,7 @@ PREFIX = "l3"  # default prefix of symbols and file names
 MIN_BLOCK = 128  # loops process at least this number of pixels per block
 CODES = 256  # number of codes in an 8-bit picture
 SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
-LINEAR_BINS = 4096  # bins of linear values, none of which contains more than one threshold between 8-bit sRGB codes
+LINEAR_BINS = 4096  # bins of linear values; each contains at most one threshold between 8-bit sRGB codes
 DATA = (
     "/* The arrays of a transform table. l3_table.h declares them. Long arrays are strings of their bytes. */",
     '#include "l3_table.h"',
@@ -73,7 +73,7 @@ GUARD = ("#ifndef L3_TABLE_H", "#define L3_TABLE_H", "", "#include <stdint.h>", 
 def c_files(
     table: TransformTable, words: Words = "float32", balance: WhiteBalance | None = None, prefix: str = PREFIX
 ) -> dict[str, bytes]:
-    """Convert a table to C source files: file name → content.
+    """Convert a table to C source files. Return each file's content by name.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def c_files(
     Raises
     ------
     InputFileError
-        If the C source supports the table only with `words` float32.
+        If `words` is int16, and the C source supports the table only with float32.
     RecipeError
         If the prefix is invalid, or if the table has too many layers.
     """
@@ -188,7 +188,7 @@ def _features(rule: ClassRule) -> str:
 
 
 def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
-    """Return the macros of l3_table.h, without their prefix: the sizes of loops and arrays, and constants in formulas."""
+    """Return the macros of l3_table.h, without prefix: sizes of loops and arrays, and constants in formulas."""
     rule, columns = table.first.rule, table.cfa.shape[1]
     group = math.lcm(columns, TAP_GROUP)
     values: dict[str, int | str] = {
@@ -248,9 +248,9 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
 
 
 def _test_steps(table: TransformTable) -> int:
-    """Return by how many output steps a 16-bit output may differ from the reference.
+    """Return the largest permitted difference between a 16-bit output and the reference, in output steps.
 
-    The limit is higher for tables that smooth chroma, because the smoothing weights amplify rounding errors.
+    For tables that smooth chroma, the limit is higher, because the smoothing weights amplify rounding errors.
     """
     worst = short_cost(table, short_words(table))[1]
     return max(4, math.ceil(3 * worst)) if table.chroma_smoothing else max(1, math.ceil(worst))
@@ -468,8 +468,8 @@ def _picture_source(table: TransformTable, balance: WhiteBalance | None, text: s
 def _page_facts(table: TransformTable, balance: WhiteBalance | None) -> str:
     """Return the properties of a table for the browser page, as JSON.
 
-    `neutral` contains the signals of a grey surface under the training illuminant, with which the page applies the white
-    balance in a file. It is null if these signals are unknown, or if the user set a white for the export.
+    `neutral` contains the signals of a grey surface under the training illuminant. The page uses them to apply the white
+    balance that a file contains. If these signals are unknown, or if the user set a white for the export, `neutral` is null.
     """
     codes, trained = channel_codes(table.channels), Whites(table).trained
     facts = {

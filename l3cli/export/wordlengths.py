@@ -40,12 +40,12 @@ VECTOR_SEED = 3
 MOST_OUTPUT_FRACTION = 12  # maximum number of fractional bits in a 16-bit output, for a range of ±8
 OUTPUT_TOP = 2**15 - 1  # largest 16-bit output
 HIGH_BITS = 12  # bits in the high part of a value, including the sign
-# Limits of a weight before rounding, and of a sum of products. The latter leaves room for the low part of the value and the
-# rounding constant, which are added later.
+# Limits of a weight before rounding, and of a sum of products. The limit of the sum leaves headroom for the low part of the
+# value and for the rounding constant, which are added later.
 MAX_WEIGHT, MAX_SUM = 2.0**15 - 8, 2.0**31 - 2**26
 MAX_FRACTION = 24
-# Assumed correlation R between the values of two taps: exp(−distance / REACH), with the distance in pixels, times OTHER for
-# taps of different channels. NOISE is added to a tap's correlation with itself.
+# The correlation R between the values of two taps is assumed to be exp(−distance / REACH), with the distance in pixels. For
+# taps of different channels, it is multiplied by OTHER. NOISE is added to a tap's correlation with itself.
 REACH, OTHER, NOISE = 8.0, 0.8, 0.2
 LENGTHS = (8, 10, 12, 14, 16)  # word lengths to compare, in bits
 SHAPE, SEED = (64, 256), 4  # (rows, columns) and seed of the mosaic for the comparison
@@ -63,7 +63,7 @@ class Vector:
     outputs: NDArray[np.float32]  # (output, row, col)
 
     def files(self) -> dict[str, bytes]:
-        """Return the arrays as files in row-major, little-endian order: file name → content."""
+        """Return the arrays as files, in row-major and little-endian order: the content by file name."""
         return {
             "test_raw.bin": self.raw.astype("<u2").tobytes(),
             "test_labels.bin": self.labels.astype("<u4").tobytes(),
@@ -114,8 +114,8 @@ class ShortWords:
 def output_fraction(table: TransformTable) -> int:
     """Return the number of fractional bits in 16-bit outputs: 12, or fewer if clipped white is much brighter than white.
 
-    Clipped white may use half of the output range, because pixels next to edges can be brighter. It is much brighter than
-    white if some channels clip much later than others, for example in arrays with unfiltered pixels.
+    Clipped white may use only half of the output range, because pixels next to edges can be brighter. It is much brighter
+    than white if some channels clip at a much higher exposure than others, for example in arrays with unfiltered pixels.
     """
     if table.clipped_white is None:
         return MOST_OUTPUT_FRACTION
@@ -135,19 +135,19 @@ def offset_of(table: TransformTable) -> int:
 def short_words(table: TransformTable) -> ShortWords:
     """Convert the last layer's transforms to 16-bit words.
 
-    Each class and output has as many fractional bits as possible, with weights in 16 bits and sums in 32 bits. Raises
-    InputFileError if the transforms are too large.
+    Each class and output has as many fractional bits as possible, so that weights fit into 16 bits and sums into 32 bits.
+    Raises InputFileError if the transforms are too large.
     """
     split, offset = split_of(table), offset_of(table)
     layer, black = table.layers[-1], 0.0 if table.later else table.black_level - offset
-    # Weights in output steps per input step.
+    # weights in output steps per input step
     steps = 2 ** output_fraction(table)
     weights = layer.weights.astype(np.float64) * (_value_step(table) * steps)
     intercept = layer.intercept.astype(np.float64) * steps - black * weights.sum(axis=-1)
     values = PLANE_TOP if table.later else max(2**table.bits - 1 - offset, offset)
     size = np.abs(weights)
     windows = weights.shape[-1] - (table.later[-1].ratio_taps if table.later else 0)
-    # Bilateral chroma is a difference of two values, so it can be twice as large as a value.
+    # Bilateral chroma is a difference between two values, so it can be twice as large as a value.
     twice = size[..., windows + RATIO_TAPS[1] :].sum(axis=-1)
     sums = (size.sum(axis=-1) + twice) * values + np.abs(intercept)
     second = np.sort(size[..., :windows], axis=-1)[..., -2:].min(axis=-1)
@@ -177,8 +177,8 @@ def _value_step(table: TransformTable) -> float:
 def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[np.float64]]]:
     """Return the groups of classes with the same assumed correlation R (tap, tap) between window taps.
 
-    Each item is a mask of classes, and R. If the last layer is the first one, each CFA site is a group. In a refinement
-    layer, all classes are one group.
+    Each item is a mask of classes, and R. If the table has a single layer, each CFA site is a group. In a refinement layer,
+    all classes are one group.
     """
     layer = table.layers[-1]
     if table.later:
@@ -202,10 +202,10 @@ def _likeness(source: NDArray[np.int64], other: float) -> NDArray[np.float64]:
 
 
 def _rounded(weights: NDArray[np.float64], likeness: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Round weights (class, output, tap) to integers with a small error eᵀ R e.
+    """Round weights (class, output, tap) to integers, so that the error eᵀ R e is small.
 
-    e is the vector of rounding errors, and R is `likeness`. Starting from the nearest integers, each step changes the weight
-    that reduces the error most.
+    e is the vector of rounding errors, and R is `likeness`. The search starts from the nearest integers. In each step, it
+    changes the weight for which the error decreases most.
     """
     flat = weights.reshape(-1, weights.shape[-1])
     whole = np.rint(flat)
@@ -279,9 +279,9 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
     Returns
     -------
     psnr : float
-        PSNR of the rounded outputs in dB, for a peak of 1. It includes all steps after the last layer: replacing clipped
-        areas, limiting the luminance, and smoothing chroma. It also includes the rounding of coarse chroma, if any, in two
-        of the three outputs.
+        PSNR of the rounded outputs in dB, for a peak of 1. It includes all steps after the last layer: correction of clipped
+        areas, limit of the luminance, and smoothing of chroma. It also includes the rounding of coarse chroma, if any, in
+        two of the three outputs.
     worst : float
         Largest error before rounding, in output steps.
     """

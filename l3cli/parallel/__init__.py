@@ -33,7 +33,7 @@ def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> It
 
     If `jobs` is 1, the current process computes the results. Otherwise, at most 2·jobs results are kept at a time, so that
     memory use does not grow with the number of items. The processes are spawned, because a forked process hangs if an OpenCL
-    context exists. Each of them uses one BLAS thread.
+    context exists. Each process uses one BLAS thread.
     """
     with workers(jobs) as pool:
         yield from pool(function, items)
@@ -43,8 +43,8 @@ def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> It
 def workers(jobs: int, scheduler: "Scheduler | None" = None) -> Iterator[WorkerPool]:
     """Context manager that yields a pool of workers.
 
-    With a `scheduler`, the pool contains its workers. Otherwise, it contains `jobs` processes on this machine, or only the
-    current process if `jobs` is 1.
+    If there is a `scheduler`, the pool consists of its workers. Otherwise, it consists of `jobs` processes on this machine
+    or, if `jobs` is 1, of the current process.
     """
     if scheduler is not None:
         from l3cli.parallel.cluster import workers_of

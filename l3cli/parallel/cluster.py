@@ -1,4 +1,4 @@
-"""Pool of dask workers on other machines."""
+"""Run work on dask workers on other machines."""
 
 import asyncio
 import collections
@@ -47,8 +47,8 @@ class Scheduler:
     Raises
     ------
     RecipeError
-        If the address is invalid, if a tls:// address comes without all three PEM files, or if a tcp:// address comes with
-        any of them.
+        If the address is invalid, if one of the three PEM files is missing for a tls:// address, or if there is one for a
+        tcp:// address.
     InputFileError
         If a PEM file does not exist.
     """
@@ -192,7 +192,7 @@ def _sent_out(
     """
 
     def work(versions: dict[str, str], content: bytes) -> bytes:
-        # dask sends a local function as code instead of by name, so that even a worker without l3cli can run this line and
+        # dask sends the code of a local function, not its name. Even a worker without l3cli can therefore run this line and
         # report the missing package. The scheduler does not need l3cli, because it only forwards bytes.
         from l3cli.parallel.cluster import work_elsewhere
 
@@ -256,7 +256,7 @@ def _opened(answer: Any, fits: Callable[[Any], bool], worker: Callable[[], str])
     Parameters
     ----------
     answer : bytes
-        The answer. A worker that runs different code may send an object of any other type.
+        The answer. If a worker runs different code, it may be an object of any other type.
     fits : callable
         Function that returns whether a result has the expected types and shapes. It may raise any exception if the type is
         wrong.
@@ -307,7 +307,7 @@ def _worker_of(client: Any, future: Any) -> str:
 
 
 def _versions() -> dict[str, str]:
-    """Return the software versions that must agree on all machines, because they affect the bytes of results."""
+    """Return the software versions that affect the bytes of results, and must therefore be the same on all machines."""
     python = platform.python_version().rpartition(".")[0]
     return {"l3cli": __version__, "numpy": importlib.metadata.version("numpy"), "Python": python}
 

@@ -1,4 +1,4 @@
-"""Worker processes on this machine."""
+"""Run work in several processes on this machine."""
 
 import collections
 import contextlib
@@ -39,9 +39,9 @@ def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]
                 if child not in before:
                     child.terminate()
             # If a worker is terminated while it sends a large result, the pool's result thread waits for the rest of the
-            # data until all writing ends of the pipe are closed. Ctrl-C would hang, so this process closes its own writing
-            # end. Before Python 3.11.5, the thread that sends items similarly waits until all reading ends are closed
-            # (python/cpython#94777).
+            # data until all writing ends of the pipe are closed. So that Ctrl-C does not hang, this process closes its own
+            # writing end. Before Python 3.11.5, the thread that sends items waits in the same way until all reading ends are
+            # closed (python/cpython#94777).
             pool._result_queue._writer.close()  # type: ignore[attr-defined]
             if sys.version_info < (3, 11, 5):
                 pool._call_queue._reader.close()  # type: ignore[attr-defined]
@@ -54,8 +54,8 @@ def _submit(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> "
     """Submit an item to the pool, which may start a process.
 
     Signals are blocked while a process starts, because an interrupted start would print a traceback. The new process
-    inherits the blocked signals and unblocks only SIGTERM: Ctrl-C sends SIGINT to all processes, but only the parent handles
-    it.
+    inherits the blocked signals and unblocks only SIGTERM. Ctrl-C sends SIGINT to all processes, but only the parent must
+    handle it.
     """
     old = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:

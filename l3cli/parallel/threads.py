@@ -1,4 +1,4 @@
-"""Threads that read ahead, write in the background, or run a background task."""
+"""Read ahead, write, and run tasks in background threads."""
 
 import contextlib
 import os
@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
-# After an interrupt, how long to wait for the threads of `prefetched`, BackgroundTask and WriteBehind, in s.
+# Time, in s, to wait for the threads of `prefetched`, BackgroundTask and WriteBehind after an interrupt.
 READ_SECONDS, WORK_SECONDS, WRITE_SECONDS = 1.0, 5.0, 25.0
 
 
@@ -36,7 +36,7 @@ def threaded(count: int) -> Iterator[Callable[[Callable[[T], R], Iterable[T]], I
 def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
     """Iterate over `items`, while a thread computes up to `depth` items in advance.
 
-    If computing an item raises an exception, all items before it are still yielded first.
+    If an item raises an exception, all items before it are yielded first.
     """
     ready: queue.Queue[Any] = queue.Queue()
     free = threading.Semaphore(depth)  # how many more items the thread may compute
@@ -85,8 +85,8 @@ def _while_free(items: Iterable[T], free: threading.Semaphore, stopped: threadin
 class BackgroundTask:
     """Context manager that runs `work` in a thread during the block, and waits for the thread at the end.
 
-    `work` must only prepare, for example load or cache, what the main thread needs later. Its errors are ignored, because
-    they occur again in the main thread.
+    `work` must only prepare what the main thread needs later, for example load or cache a file. Its errors are ignored,
+    because they occur again in the main thread.
     """
 
     def __init__(self, work: Callable[[], object]) -> None:

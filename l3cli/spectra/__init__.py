@@ -1,1 +1,1 @@
-"""Spectra with units, read from the file formats of instruments."""
+"""Read spectra and their units from the file formats of instruments."""

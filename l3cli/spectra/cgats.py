@@ -1,6 +1,6 @@
 """Read spectra from CGATS.17 text files, such as ArgyllCMS .sp, .ti3, .cie and .ccss, and exports of chart readers.
 
-A file contains one or more tables. A table has keywords (`KEYWORD "value"`), the names of its fields between
+A file contains one or more tables. A table consists of keywords (`KEYWORD "value"`), the names of its fields between
 BEGIN_DATA_FORMAT and END_DATA_FORMAT, and one row per sample between BEGIN_DATA and END_DATA. A spectrum is stored in
 consecutive fields that are named after the wavelengths: SPEC_380 (ArgyllCMS), SPECTRAL_NM380, nm380, R_380. ArgyllCMS rounds
 the wavelengths in these names to whole nanometres, and writes the exact grid as SPECTRAL_BANDS, SPECTRAL_START_NM and
@@ -72,7 +72,7 @@ def read_cgats(text: str, path: Path) -> Spectra:
     Raises
     ------
     InputFileError
-        Unless exactly one table contains spectra, if a row is incomplete or not numeric, or if the keywords for the
+        If no table or several tables contain spectra, if a row is incomplete or not numeric, or if the keywords for the
         wavelength grid contradict the fields.
     """
     tables = _tables(text, path)
@@ -172,7 +172,7 @@ def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
 
 
 def _grid(table: CgatsTable, named: list[float], count: int, path: Path) -> NDArray[np.float64]:
-    """Return the wavelengths in nm from the table's keywords, or from its field names if keywords are missing.
+    """Return a table's wavelengths in nm from its keywords or, if keywords are missing, from its field names.
 
     Raises InputFileError if the keywords contradict the fields.
     """

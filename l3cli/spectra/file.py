@@ -117,7 +117,7 @@ def _text(path: Path) -> str:
 def _separator(lines: Sequence[str]) -> tuple[str | None, bool]:
     """Detect the column separator (None for blanks), and whether commas are decimal points.
 
-    The last line that begins with a number determines both results.
+    Both follow from the last line that begins with a number.
     """
     last = next((line for line in reversed(lines) if re.match(r"[-+.]?\d", line)), lines[-1] if lines else "")
     for separator in ";\t":
@@ -140,7 +140,7 @@ def _split(line: str, separator: str | None) -> Cells:
 
 
 def _without_last(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
-    """Remove the empty last cells if all rows of numbers end with a separator."""
+    """Remove the last cell of each row if all rows of numbers end with a separator, so that this cell is empty."""
     rows = [row for row in cells if _is_number(row[0], decimal_comma)]
     if not rows or any(len(row) < 3 or row[-1] for row in rows):
         return cells
@@ -167,8 +167,8 @@ def _numbers(
 ) -> tuple[list[list[float]], list[Cells]]:
     """Return the rows of numbers at the end of a file, and the lines before these rows.
 
-    Raises InputFileError if the file does not end with rows of numbers, or if there are earlier rows of numbers. In the
-    latter case, the text in between is probably a damaged row.
+    Raises InputFileError if the file does not end with rows of numbers, or if there are also rows of numbers before other
+    text. This text is then probably a damaged row.
     """
     numeric = [all(_is_number(cell, decimal_comma) for cell in row) for row in cells]
     start = len(cells)
@@ -200,8 +200,8 @@ def _numbers(
 def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurve, ...], tuple[str, ...]]:
     """Return the digitised curves in a text (X and Y of each point), and their faults.
 
-    Both results are empty if there are no digitised curves. Programs for digitising plots write several curves in one of two
-    forms:
+    If there are no digitised curves, both results are empty. Programs for digitising plots write several curves in one of
+    two forms:
 
     1. The columns X and Y of all curves are next to each other. The heading has two lines, with the curve names above X, Y,
        X, Y, …, or a single line with a word for wavelength and a name per curve.
@@ -291,7 +291,7 @@ def _without_nm(cell: str) -> str:
 
 
 def _is_grid(values: Sequence[float]) -> bool:
-    """Whether numbers are plausible as wavelengths in nm, in increasing or decreasing order."""
+    """Whether numbers are plausible wavelengths in nm, in increasing or decreasing order."""
     ordered = sorted(values)
     return LIGHT[0] <= ordered[0] and ordered[-1] <= LIGHT[1] and len(set(values)) == len(values) and (
         list(values) in (ordered, ordered[::-1])
@@ -302,7 +302,7 @@ def _is_grid(values: Sequence[float]) -> bool:
 
 
 def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path) -> Cells | None:
-    """Find the column names in the lines before the numbers. Return None if there is no heading.
+    """Find the column names in the lines before the numbers, or return None if there is no heading.
 
     Units on the line below the names are appended to the names. Raises InputFileError if the heading and the rows have
     different numbers of columns.
@@ -357,7 +357,7 @@ def _bare(cell: str) -> str | None:
 
 
 def _with_unit(name: str, unit: str) -> str:
-    """Append a unit in brackets to a column heading, unless it is a heading of wavelengths and the unit is not a length."""
+    """Append a unit in brackets to a column heading. A heading of wavelengths gets only units of length."""
     if not unit or (is_wavelength(name) and units.length_nm(unit) is None):
         return name
     return f"{name} ({unit})"
@@ -398,7 +398,7 @@ class SpectrumFormat:
     """A file format for spectra. docs/own-lab.md lists all formats."""
 
     name: str
-    suffixes: tuple[str, ...]  # in lower case, to be compared without regard to case
+    suffixes: tuple[str, ...]  # in lower case; comparisons ignore case
     holds: str  # description of what l3 reads, for the documentation
     is_of: Callable[[str], bool] | None  # tests whether a text has this format, or None if the suffix determines the format
     read: Callable[[str, Path], CurveTable]  # reads the text of a file, given its path for messages
@@ -456,9 +456,10 @@ def _over_wavelengths(path: Path, wavelength: Array, values: Array, names: tuple
 
 
 def _result(table: CurveTable) -> CurveTable:
-    """Remove columns with raw readings if exactly one other column remains, which is the instrument's result.
+    """Remove columns with raw readings if exactly one other column remains.
 
-    For example, Avantes writes the columns Sample, Dark and Reference in counts, and Transmittance in percent.
+    This column is the instrument's result. For example, Avantes writes the columns Sample, Dark and Reference in counts, and
+    Transmittance in percent.
     """
     if table.names is None or len(table.values) < 2:
         return table
@@ -504,11 +505,11 @@ def _text_curves(content: str, path: Path) -> CurveTable:
 
 
 def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Path) -> CurveTable:
-    """Interpolate digitised curves, with points in any order, to steps of 1 nm.
+    """Interpolate digitised curves to steps of 1 nm. The points of a curve may be in any order.
 
     All curves are extended to the wavelength range of the plot. A curve that ends at an edge of the plot continues with its
-    last value. A curve that ends inside the plot continues with zeros. Raises InputFileError with a list of all faults in
-    the curves.
+    last value. A curve that ends inside the plot continues with zeros. If the curves have faults, InputFileError is raised
+    with a list of all faults.
     """
     wrong = list(faults)
     lines = [np.array(sorted(points), np.float64).reshape(-1, 2).T for _, points in curves]
@@ -532,7 +533,7 @@ def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Pa
 
 
 def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
-    """Yield the faults of a digitised curve `line` (X and Y, point), given the wavelengths of the whole plot, `grid`."""
+    """Yield the faults of a digitised curve `line` (X and Y, point). `grid` contains the wavelengths of the whole plot."""
     x, y = line
     if x.size < 2:
         if x.size:
@@ -590,7 +591,7 @@ def other_unit(first: float, last: float) -> tuple[str, str] | None:
     -------
     tuple of str, or None
         Description of the fault, and the probable unit ("m", "um" or "A"). None if the wavelengths are plausible in nm, or
-        if the smallest is not positive.
+        if `first` is not positive.
     """
     if first <= 0 or (last >= MICROMETRES and first <= ANGSTROMS):
         return None
@@ -602,7 +603,7 @@ def other_unit(first: float, last: float) -> tuple[str, str] | None:
 
 
 def _wavelength_column(heading: Sequence[str], path: Path) -> tuple[int, float | None]:
-    """Return the index of the wavelength column, and the factor from its unit to nm, or None without a unit.
+    """Return the index of the wavelength column, and the factor from its unit to nm. Without a unit, the factor is None.
 
     Raises InputFileError unless exactly one column contains wavelengths.
     """

@@ -174,8 +174,8 @@ def _ordinates(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float6
 def _unpacked(lines: list[str], path: Path) -> list[float]:
     """Decompress lines of XYDATA (ASDF).
 
-    If a line ends with a difference, the next line starts by repeating the last ordinate as a check. The repetition is
-    omitted. Raises InputFileError if it differs from the last ordinate.
+    If a line ends with a difference, the next line repeats the last ordinate as a check. The repetition is removed. Raises
+    InputFileError if it differs from the last ordinate.
     """
     values: list[float] = []
     by_difference = False  # whether the previous number was a difference
@@ -227,7 +227,7 @@ def _pairs(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float64], 
 
 
 def _in_unit(values: NDArray[np.float64], text: str) -> tuple[NDArray[np.float64], str | None]:
-    """Return values with their unit from the record YUNITS (`text`), or with None if they are relative.
+    """Return values and their unit from the record YUNITS (`text`). If the values are relative, the unit is None.
 
     Percentages of transmittance or reflectance are converted to fractions.
     """

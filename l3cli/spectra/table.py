@@ -1,4 +1,4 @@
-"""Tables of spectra: selection of columns by name, and conversion to required units."""
+"""Select columns from tables of spectra, and convert them to the required units."""
 
 import json
 import re
@@ -217,7 +217,7 @@ class CurveTable:
         """Convert the columns (column, wavelength) to relative power per nm.
 
         Columns in photons are divided by the wavelength. Columns without a unit are assumed to be power. Small negative
-        values are set to zero (see `without_noise`). Raises InputFileError for units of neither power nor photons.
+        values are set to zero (see `without_noise`). Raises InputFileError for units that are neither power nor photons.
         """
         rows = []
         for values, heading in zip(self.values, self.units, strict=True):
@@ -343,8 +343,8 @@ def without_noise(curves: Array) -> Array:
     Returns
     -------
     ndarray, (curve, wavelength)
-        Curves without negative values down to −NOISE times their peaks. Lower values are unchanged, so that the caller can
-        reject the curve.
+        Curves in which negative values down to −NOISE times the peak are zero. Lower values are unchanged, so that the
+        caller can reject the curve.
     """
     least = -NOISE * curves.max(axis=1, keepdims=True)
     return np.where((curves < 0) & (curves >= least), 0.0, curves)
@@ -353,8 +353,8 @@ def without_noise(curves: Array) -> Array:
 def gaps(wavelength: NDArray[np.floating], curves: NDArray[np.floating], widest: float) -> list[tuple[float, float]]:
     """Find steps between wavelengths that are too wide for interpolation.
 
-    A step is ignored if all curves are dark at both ends, that is, below 1 % of their peaks. Outside 400…700 nm, the limit
-    is 5 %.
+    A step is ignored if all curves are dark at both ends. Dark means below 1 % of the peak or, outside 400…700 nm, below
+    5 %.
 
     Parameters
     ----------
@@ -390,7 +390,7 @@ def _share(heading: str | None) -> float:
 
 
 def _energy_response(unit: units.Unit) -> bool | None:
-    """Return True for a responsivity per energy, False for a responsivity per photon, None for any other unit."""
+    """Return True for a unit of responsivity per energy, False for one per photon, and None for any other unit."""
     powers = unit.powers
     if powers in ({}, {"electron": 1, "photon": -1}):
         return False

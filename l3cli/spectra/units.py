@@ -51,7 +51,7 @@ class Unit:
 
 
 def parse(text: str) -> Unit | None:
-    """Parse a unit in any common spelling, such as "W/(sr m² nm)". Return None if the text is not a unit."""
+    """Parse a unit in any common spelling, such as "W/(sr m² nm)", or return None if the text is not a unit."""
     if len(text) > MAX_UNIT_CHARACTERS:
         return None
     plain = re.sub(r"\bper\b", "/", "".join(SPELLINGS.get(letter, letter) for letter in text)).replace("^^", "^")
@@ -82,7 +82,7 @@ def below_one_slash(text: str) -> str | None:
 
 
 def _product(tokens: list[re.Match[str]]) -> tuple[Unit, list[re.Match[str]]]:
-    """Parse tokens up to an unmatched closing bracket or the end. Return the unit and the remaining tokens.
+    """Parse tokens up to an unmatched closing bracket or to the end. Return the unit and the remaining tokens.
 
     A slash applies only to the next factor. Raises KeyError or IndexError if the tokens are not a unit.
     """
@@ -116,8 +116,8 @@ def length_nm(text: str) -> float | None:
 def split(heading: str) -> tuple[str, str | None]:
     """Split a column heading such as "name (unit)", "name [unit]", "name / unit" or "name %" into name and unit.
 
-    Without a unit, the name is the whole heading, and the unit is None. A unit of raw readings may follow without brackets,
-    as in "scope counts", and then remains part of the name.
+    If there is no unit, the name is the whole heading, and the unit is None. A unit of raw readings may follow without
+    brackets, as in "scope counts". It then remains part of the name.
     """
     heading = heading.strip()
     name, slash, rest = heading.partition(" / ")

@@ -1,8 +1,8 @@
-// Replaces colours where channels clip (l3cli/classes/clipping.py). From the mean and range of each block of the mosaic, the kernels compute
-// seven maps, which are interpolated at quads of 2 × 2 pixels:
-// 0        the fraction by which outputs are replaced, in uniform areas and where clipped channels contain most of the luminance
-// 1 to 3   the values added to X, Y and Z in these areas
-// 4        the degree to which the hue of a pixel changes to the hue of similar unclipped blocks
+// Corrects colours where channels clip (l3cli/classes/clipping.py). From the channel means and the range of each block in the mosaic, the kernels
+// compute seven maps, which are interpolated at quads of 2 × 2 pixels:
+// 0        the fraction of the outputs to replace, in uniform areas and where clipped channels contain most of the luminance
+// 1 to 3   the replacements for X, Y and Z, times map 0
+// 4        the degree to which a pixel gets the hue of similar unclipped blocks
 // 5 and 6  X/Y and Z/Y of the new hue, times map 4
 //
 // Statistics, uniformities and estimates of blocks are planes (value, block row, block column). Block maps are float8, with an unused last
@@ -22,7 +22,7 @@ INLINE floats smooth_step(floats value, float low, float high) {
     return part * part * (3.0f - 2.0f * part);
 }
 
-// Values of LANES blocks in a row from column x, with zeros outside the row.
+// Reads LANES blocks in a row from column x, with zeros outside the row.
 INLINE floats blocks_at(__global const float *row, int x, int columns) {
 #if LANES == 1
     return x >= 0 && x < columns ? row[x] : 0.0f;
@@ -35,7 +35,7 @@ INLINE floats blocks_at(__global const float *row, int x, int columns) {
 #endif
 }
 
-// The same, but with the first and last blocks repeated outside the row.
+// Reads LANES blocks in a row from column x. Outside the row, the first and last blocks are repeated.
 INLINE floats repeated_blocks_at(__global const float *row, int x, int columns) {
 #if LANES == 1
     return row[WITHIN(x, 0, columns - 1)];
@@ -139,8 +139,8 @@ INLINE void add_clipped(floats added[3], const floats *signal, floats factor, __
 }
 
 // Computes the first four maps and the uniformity of blocks. `response` is an array (clipped, signal, output), followed by the signals of
-// white. Blocks with means far below BEGINS are skipped, because uniform areas that contain them are not bright. Ignored blocks are skipped,
-// too. Bright blocks without a clipped channel are not skipped, because a grey of the same brightness may clip.
+// white. Ignored blocks are skipped. So are blocks with means far below BEGINS, because uniform areas that contain them are not bright. Bright
+// blocks without a clipped channel are not skipped, because a grey of the same brightness may clip.
 INLINE floats replacement_of(floats made[4], int y, int x, __global const float *restrict means, __global const float *restrict response,
                              int rows, int columns) {
     const size_t plane = (size_t)rows * columns, at = (size_t)y * columns;
@@ -205,7 +205,7 @@ INLINE Clipped clipped_at(__global const float *row, int x, size_t plane, int co
     return made;
 }
 
-// Returns the factors that best scale the signals of other blocks to those of clipped blocks, and computes their likeness after scaling.
+// Returns the factors that scale the signals of other blocks to the brightness of clipped blocks, and computes the likeness after scaling.
 INLINE floats scale_to(const Clipped *block, const floats *signal, floats *likeness) {
     floats ratio[CHANNELS], sum = 0.0f, squares = FAINTEST, difference = 0.0f;
     for (int k = 0; k < CHANNELS; k++) {
@@ -385,7 +385,7 @@ INLINE void spread_at(int y, int x, __global const float *restrict means, __glob
     }
     if (!last) return;
     const floats luminance = more_of(output[1], FAINTEST * FAINTEST), taken = chosen ? block.most * best : (floats)0.0f;
-    // The fraction of the outputs that the estimated outputs replace is large in areas that are not uniform, if most of the luminance is in
+    // Fraction of the outputs that the estimated outputs replace. It is large in areas that are not uniform if most of the luminance is in
     // clipped channels.
     __global const float *white = response + (CHANNELS + 1) * (CHANNELS + 1) * 3;
     floats lost = 0.0f;

@@ -1,11 +1,11 @@
-// Coarse chroma (l3cli/classes/coarse_chroma.py). A block is the mean of 4 × 4 pixels in each of three planes. Around the blocks is a MARGIN
-// of values that are not similar to any block. Rows are padded, so that vectors may read beyond the last block.
+// Coarse chroma (l3cli/classes/coarse_chroma.py). A block is the mean of 4 × 4 pixels in each of three planes. The blocks are surrounded by a
+// MARGIN of values that are not similar to any block. Rows are padded, so that vectors may read beyond the last block.
 
 #define BLOCKS(length) (((length) + 3) / 4)
 #define BLOCKS_STRIDE(columns) (BLOCKS(columns) + 2 * MARGIN + 16)
 #define BLOCKS_PLANE(rows, columns) ((size_t)(BLOCKS(rows) + 2 * MARGIN) * BLOCKS_STRIDE(columns))
 
-// Reciprocal, for each plane, of the squared difference at which the likeness of two blocks of luminance y reaches zero.
+// Computes, for each plane, the reciprocal of the squared difference at which the likeness of two blocks with the luminance y reaches zero.
 INLINE void inverse_scales(floats inverse[3], __global const float *scale, floats y) {
     const floats above = y > 0.0f ? y : (floats)0.0f;
     #pragma unroll
@@ -21,7 +21,7 @@ INLINE floats likeness(const floats d[3], const floats inverse[3]) {
 // Weight of block n among 3 × 3 blocks. The block in the centre has the number 4.
 #define STEP_WEIGHT(n) ((n) == 4 ? 0.25f : (n) % 2 ? 0.125f : 0.0625f)
 
-// For interpolation, pixel i of a row or column is between the centres of block NEAREST(i) and the next block, which has the weight
-// NEXT_SHARE(i). NEAREST(i) is −1 before the centre of the first block.
+// For interpolation, pixel i in a row or column is between the centres of block NEAREST(i) and the next block. The weight of the next block is
+// NEXT_SHARE(i). Before the centre of the first block, NEAREST(i) is −1.
 #define NEAREST(i) (((i) + 2) / 4 - 1)
 #define NEXT_SHARE(i) (((i) + 2) % 4 * 0.25f + 0.125f)

@@ -1,7 +1,7 @@
 // Converts outputs to picture values, for the number of pixels in `floats`. The float64 reference is l3cli/rendering/display.py.
 //
-// Macros from the host select the result. With PLANES, outputs are written unchanged. Otherwise a matrix, gamut mapping and the transfer curve
-// of a colour space convert X, Y, Z to three integers per pixel of type CODE, up to TOP.
+// Macros from the host select the result. With PLANES, outputs are written unchanged. Otherwise, X, Y and Z are converted to three integers per
+// pixel, of type CODE and up to TOP, by a matrix, gamut mapping and the transfer curve of a colour space.
 
 #ifdef FIXED_POINT
 
@@ -30,7 +30,7 @@ INLINE floats least_of(floats a, floats b) { return a < b ? a : b; }
 INLINE floats most_of(floats a, floats b) { return a > b ? a : b; }
 
 // Computes x^(1/3) for x ≥ LEAST_CONE with Newton's method for y = x^(-1/3). The bit pattern of a float, read as an integer, is nearly linear
-// in its logarithm, so an initial guess computed from the bit pattern is accurate to 4 %.
+// in the float's logarithm, so an initial guess from the bit pattern is accurate to 4 %.
 INLINE floats cube_root(floats x) {
     floats y = SAME_BITS(CONVERT(CONVERT(SAME_BITS(x, ints), floats) * (-1.0f / 3.0f) + (float)0x54a2fa8c, ints), floats);
     #pragma unroll
@@ -80,7 +80,7 @@ INLINE void less_chromatic(floats *linear) {
 }
 
 #ifndef TONE_A
-// Limits values to 1 by a mixture of darkening and clipping: the brighter the colour, the more clipping.
+// Limits values to 1 by a mixture of darkening and clipping. The brighter the colour, the larger the share of clipping.
 INLINE void darker(floats *linear) {
     const float luminance[] = {GAMUT_LUMINANCE};
     const floats most = most_of(most_of(linear[0], linear[1]), linear[2]), share = 1.0f / most;
@@ -114,7 +114,7 @@ INLINE bool any_negative(floats value) {
 #endif
 }
 
-// Colours inside the gamut do not change. The mapping is a separate function, because it is skipped unless a lane is outside, which is rare.
+// Moves colours into the gamut. Colours inside it do not change. The caller skips this function unless a lane is outside, which is rare.
 static __attribute__((noinline)) void brought_into_gamut(floats *linear) {
     if (any_negative(least_of(least_of(linear[0], linear[1]), linear[2]))) less_chromatic(linear);
 #ifndef TONE_A
@@ -146,8 +146,8 @@ INLINE floats toned(floats linear) {
 #if defined(CURVE_PIECES) && LANES == 16 && defined(__AVX512F__)
 
 // Encodes 8-bit values on processors that can look up 16 lanes in a table of 32 entries with one instruction. The curve times TOP consists of
-// 32 parabolas in u = 2^-8 + CURVE_SHARE · linear value, four per octave (layout.curve_pieces). The upper bits of u as a float select the
-// parabola, and the lookup uses the lowest five of them.
+// 32 parabolas in u = 2^-8 + CURVE_SHARE · linear value, four per octave (layout.curve_pieces). The upper bits of u (as a float) select the
+// parabola. The lookup uses the lowest five of these bits.
 #define PIECE_BITS 21
 __constant float curve_pieces[] = {CURVE_PIECES};  // coefficients of the parabolas, (power of u, parabola)
 

@@ -1,9 +1,9 @@
 // Scales gradients of planes by their noise, for both variants (l3cli/classes/refinement.py).
 //
-// Each element of label_words belongs to a class of the first layer and contains two words. The lower half, the gradient word, contains the
+// There is one element of label_words per class of the first layer. It consists of two words. The lower half, the gradient word, contains the
 // factor for gradients, the shift (from bit 8) and the orientation of the site (from bit 14). The upper half, the start word, contains the
-// first class with the same site and level. If its bit 31 is set, the pixel is near a saturated pixel, and the remaining bits contain its
-// class.
+// first class with the same site and level. If bit 31 of the start word is set, the pixel is near a saturated pixel, and the remaining bits
+// contain its class.
 
 #define LABEL_CONSTANTS __global const ulong *restrict label_words  // (class)
 
@@ -26,9 +26,9 @@
 #define SHIFT_BITS(word) ((word) >> 8 & 0x1f)
 #define DECIDED(start) ((start) >> 31)
 #define FIRST_CLASS(start) ((start) & 0x7fffffff)
-#define STRUCTURE_REACH 3  // pixels on each side that influence a class
+#define STRUCTURE_REACH 3  // number of pixels on each side that affect a class
 
-// Converts the difference of two pixels in a plane to multiples of the noise, clamped to ±top.
+// Converts the difference between two pixels in a plane to multiples of the noise, clamped to ±top.
 INLINE ints gradient(ints difference, uints scale, int top) {
     const ints scaled = (difference * SAME_BITS(scale & FACTOR_BITS, ints)) >> SAME_BITS(SHIFT_BITS(scale), ints);
     const ints most = top, below = scaled < most ? scaled : most;

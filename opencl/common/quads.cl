@@ -1,6 +1,6 @@
-// Maps for clipped areas, with one value per quad of 2 × 2 pixels (l3cli/classes/clipping.py). Map 0 is the fraction by which outputs are
-// replaced, and maps 1 to 3 are added to X, Y and Z. Map 4 is the degree of the hue change, and maps 5 and 6 are X/Y and Z/Y of the new hue,
-// times map 4. Rows are padded, so that vectors may read beyond the last quad.
+// Maps for clipped areas, with one value per quad of 2 × 2 pixels (l3cli/classes/clipping.py). Map 0 is the fraction of the outputs to replace.
+// Maps 1 to 3 are the replacements for X, Y and Z, times map 0. Map 4 is the degree of the hue change. Maps 5 and 6 are X/Y and Z/Y of the new
+// hue, times map 4. Rows are padded, so that vectors may read beyond the last quad.
 
 #define QUADS(length) (((length) + 1) / 2)
 #define QUADS_STRIDE(columns) (QUADS(columns) + 16)

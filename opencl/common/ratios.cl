@@ -1,5 +1,5 @@
 // Processor variant: computes the last layer's ratio taps for one row of a tile (l3cli/classes/refinement.py). The first two taps are the
-// chroma difference that a pure change in illumination would cause. If RATIO_TAPS is 4, the other two are the chroma of similar pixels.
+// chroma differences that a change in illumination alone would cause. If RATIO_TAPS is 4, the other two taps are the chroma of similar pixels.
 
 #if SOURCES > 1
 typedef struct {
@@ -18,7 +18,7 @@ INLINE floats ratio_of(floats luminance, floats total) {
     return below > -1.0f ? below : (floats)-1.0f;
 }
 
-// Computes tap t of column x as to[t][x]. The window consists of the PATCH stored rows, of which the first is row[first % PATCH].
+// Computes tap t of column x as to[t][x]. The window consists of the PATCH stored rows, starting with row[first % PATCH].
 INLINE void taps_behind(float (*to)[SPAN], const Row *row, int first, int width) {
     const Row *r[PATCH];
     float sum[SOURCES][SPAN];  // column sums over the rows of the window

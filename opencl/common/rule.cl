@@ -1,7 +1,7 @@
 // Computes the class of each pixel from sums over its patch, for both variants and for the number of pixels in `uints`. Features are combined
 // as in ClassRule and l3cli/classes/decide.py. Unsigned arithmetic may wrap around, but the results are exact.
 
-// CFA phase of padded row or column p, which is row or column p - RADIUS of a frame that begins at the phase `start`.
+// CFA phase of padded row or column p. This is row or column p - RADIUS of the frame, which begins at the phase `start`.
 #define PADDED_PHASE(p, start, period) (((p) + (start) + ((period) - 1) * RADIUS) % (period))
 
 // Constants of the features, in the order of l3cli/classes/plane_kernel.py: as parameters of a function, and as arguments of a call.
@@ -70,8 +70,8 @@ INLINE uints kind_of(const Evidence *e, uints site, patterns code, RULE_CONSTANT
 // Returns the class of pixels at CFA site `site`. `code` is the set of channels that saturate near the pixel. The level is found by comparison
 // with every level edge, because table lookups are slow in vectors. The same loop selects the contrast thresholds of the level.
 //
-// With several SETS of transforms (l3cli/rendering/conditions.py), pixels are compared with the thresholds of their `set`. The arrays of all
-// sets are concatenated, and sites are numbered through all sets.
+// If there are several SETS of transforms (l3cli/rendering/conditions.py), pixels are compared with the thresholds of their `set`. The arrays of
+// all sets are concatenated, and sites are numbered consecutively over all sets.
 INLINE uints class_of(const Evidence *e, uints site, patterns code, SET_VALUE RULE_CONSTANTS) {
     const uints kind = kind_of(e, site, code, RULE);
     uints level = 0, edge[CONTRASTS];

@@ -1,7 +1,7 @@
 // Corrects colour shading (the difference in shading between channels) in raw values. The reference is l3cli/frames/shading.py.
 //
-// The raw values are corrected in place, before any other kernel reads them. Each work-item corrects RUN pixels, in integers, so that all
-// devices have the same results. `colour` is the gain minus 1, which applies to the signal above black. Clipped pixels do not change, and no
+// The raw values are corrected in place, before any other kernel reads them. Each work-item corrects RUN pixels. The arithmetic uses integers,
+// so that all devices have the same results. `colour` is the gain of the signal above black, minus 1. Clipped pixels do not change, and no
 // other pixel becomes clipped.
 
 INLINE ints corrected(ints value, ints colour, int black, int clipped) {

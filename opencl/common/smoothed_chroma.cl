@@ -2,8 +2,8 @@
 // the raw values around them. The reference is l3cli/rendering/reference.py. The macros CHROMA_ROWS and CHROMA_COLUMNS list the offsets of
 // the NEIGHBOURS neighbours, of which the first NEAR_NEIGHBOURS are near. The first four are the diagonal neighbours.
 
-// A pixel, scaled so that computing the weight of a neighbour takes few operations. The weight is zero if the squared scaled differences in
-// luminance, X and Z sum to at least 1.
+// A pixel, scaled so that few operations are needed to compute the weight of a neighbour. The weight is zero if the sum of the squared scaled
+// differences in luminance, X and Z is at least 1.
 typedef struct {
     floats luminance, of_luminance;                        // scaled luminance, and its scale
     floats x, z, luminance_of_x, luminance_of_z;           // X, Z and luminance, times the scales of X and Z
@@ -18,7 +18,7 @@ INLINE Scaled scaled_pixel(const floats *own, float by_luminance, float by_x, fl
 // Factor for the squared difference in chroma of neighbour `n`.
 #define UNLIKE(n) ((n) < NEAR_NEIGHBOURS ? 1.0f : FAR_UNLIKE)
 
-// Adds a neighbour with the XYZ `there` to the sums. sums[0] and sums[2] are the scaled changes of X and Z, and sums[1] is their divisor.
+// Adds a neighbour with the XYZ `there` to the sums. sums[0] and sums[2] are the scaled changes in X and Z, and sums[1] is their divisor.
 // `unlike` is the factor for the squared difference in chroma.
 INLINE void add_neighbour(floats *sums, Scaled own, const floats *there, float unlike) {
     const floats brighter = there[1] * own.of_luminance - own.luminance;

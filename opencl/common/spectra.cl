@@ -12,8 +12,8 @@ INLINE floats inverse_of(floats brightness, float reach) {
     return 1.0f / (reach * above);
 }
 
-// Factor by which the mean spectrum is multiplied to restore the pixel's brightness. `brighter` is the mean excess brightness of the
-// neighbours.
+// Factor by which the mean spectrum is multiplied to restore the pixel's brightness. `brighter` is the mean difference in brightness between
+// the neighbours and the pixel.
 INLINE floats brightness_ratio(floats brightness, floats brighter) {
     return brightness > DARKEST ? brightness / (brightness + brighter) : (floats)1.0f;
 }

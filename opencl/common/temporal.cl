@@ -1,5 +1,5 @@
-// Temporal filter: types and functions for temporal_motion.cl and temporal_blend.cl, which blend a mosaic with the history, the filtered
-// previous mosaic. The reference is l3cli/rendering/temporal/reference.py.
+// Temporal filter: types and functions for temporal_motion.cl and temporal_blend.cl. These kernels blend a mosaic with the history, which is the
+// filtered previous mosaic. The reference is l3cli/rendering/temporal/reference.py.
 //
 // All computations are exact, so that all devices have the same results. A work-item processes STRIP adjacent blocks. Frames consist of
 // whole blocks and are `columns` wide. Values are u = DN << free_bits, with at most 16 bits.
@@ -8,11 +8,11 @@
 #define CELL_COLUMNS (BLOCK_COLUMNS / CELL_ACROSS)
 #define SITES (CELL_ROWS * CELL_COLUMNS)
 #define PERIOD_SITES (PERIOD_ROWS * PERIOD_COLUMNS)
-#define UNITS_DOWN (BLOCK_ROWS / PERIOD_ROWS)  // CFA periods per block along each axis, which are samples of the finest plane
+#define UNITS_DOWN (BLOCK_ROWS / PERIOD_ROWS)  // CFA periods per block along each axis; each is a sample of the finest plane
 #define UNITS_ACROSS (BLOCK_COLUMNS / PERIOD_COLUMNS)
 
-// Vectors contain CELL_LANES cells. Sums over cells exceed 32 bits, so vectors use doubles, which represent integers up to 2^53 exactly and
-// can be divided in vectors.
+// Vectors contain CELL_LANES cells. Sums over cells exceed 32 bits, so the vectors contain doubles. Doubles represent integers up to 2^53
+// exactly, and vectors of doubles can be divided.
 #if LANES == 1
 #define CELL_LANES 1
 typedef int cell_ints;

@@ -1,8 +1,8 @@
 // Temporal filter: motion of each block relative to the history (l3cli/rendering/temporal/motion.py). The kernels compute an image pyramid and
 // search for motion in its planes.
 
-// Planes have a margin of MARGIN rows and columns that repeats the edge, and PADDING additional columns. Windows, and vectors that begin in a
-// window, may therefore extend beyond the edge.
+// Planes have a margin of MARGIN rows and columns, in which the edge is repeated, and PADDING additional columns. Windows, and vectors that begin
+// in a window, may therefore extend beyond the edge.
 INLINE int row_length(int columns) { return columns + 2 * MARGIN + PADDING; }
 
 INLINE void fill_margin(__global ushort *row, int columns, bool left, bool right) {
@@ -100,8 +100,8 @@ INLINE void halve(__global const ushort *fine, __global ushort *coarse, int row,
     }
 }
 
-// Computes both image pyramids. Each work-item processes STRIP blocks across, and DEEPEST rows of the finest plane. The first half of the
-// work-items computes the pyramid of the frame. The second half computes the coarser planes of the history, whose finest plane already exists.
+// Computes both image pyramids. Each work-item processes DEEPEST rows of the finest plane, and is STRIP blocks wide. The first half of the
+// work-items computes the pyramid of the frame. The second half computes the coarser planes of the history. Its finest plane already exists.
 __kernel void planes(__global const ushort *restrict raw, __global ushort *restrict now, __global ushort *restrict before,
                      int free_bits, int block_rows, int block_columns) {
     const int parts = get_global_size(1) / 2, part = get_global_id(1) % parts;

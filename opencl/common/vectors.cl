@@ -1,7 +1,7 @@
 // Vector types of all kernels. In the processor variant, a vector contains LANES pixels or taps: 16 lanes fill an AVX-512 register, and 8
 // lanes fill an AVX2 register. In the graphics variant, LANES is 1, because the device itself processes many pixels in parallel.
 //
-// Because vloadN and convert_T are function calls in PoCL 3.0, vectors are read through pointers to a type with the alignment of a single
+// In PoCL 3.0, vloadN and convert_T are function calls. Vectors are therefore read through pointers to a type with the alignment of a single
 // element, and converted with a clang builtin. Each of these operations compiles to one instruction.
 
 #define INLINE static inline __attribute__((always_inline))
@@ -58,14 +58,14 @@ INLINE bool any_lane(ints mask) {
     return (four.x | four.y | four.z | four.w) != 0;
 }
 
-// The vector that starts at p: LOAD to read it, STORE to assign to it.
+// The vector that starts at p. LOAD macros read it, and STORE macros write it.
 #define LOAD_PRIVATE(type, p) (*(const type##_unaligned *)(p))
 #define STORE_PRIVATE(type, p) (*(type##_unaligned *)(p))
 #define LOAD_GLOBAL(type, p) (*(__global const type##_unaligned *)(p))
 #define STORE_GLOBAL(type, p) (*(__global type##_unaligned *)(p))
 
-// A kernel with one work-item per group only calls a function, which does the work. PoCL compiles each kernel three times (once as written,
-// and twice in the code that starts work-groups), but compiles the function only once.
+// A kernel with one work-item per group only calls a function that does the work. PoCL compiles each kernel three times (once as written, and
+// twice in the code that starts work-groups), but compiles the function only once.
 #define COMPILED_ONCE static __attribute__((noinline)) void
 #define KERNEL_OF_ONE __kernel __attribute__((reqd_work_group_size(1, 1, 1))) void
 #define GROUP_COLUMN ((int)get_group_id(0) * TILE)  // first column of the tile
@@ -75,8 +75,8 @@ INLINE bool any_lane(ints mask) {
 // that rarely runs.
 #define AT_EDGE _Pragma("clang loop vectorize(disable) unroll(disable)")
 
-// Writes the first `count` lanes of a vector to to[0], to[1] …. They are copied to an array first, because compilers generate a lot of code
-// for selecting a lane by a variable.
+// Writes the first `count` lanes of a vector to to[0], to[1] …. The lanes are first copied to an array, because compilers generate a lot of
+// code for selecting a lane by a variable.
 #define WRITE_FIRST(element, type, to, value, count) do { \
     element lane[LANES]; \
     STORE_PRIVATE(type, lane) = value; \
@@ -89,7 +89,7 @@ INLINE bool any_lane(ints mask) {
 
 // Prefetches the cache line at p, which is needed for the next row. Processors do not predict where the next row of a tile begins. One line
 // is prefetched per LANES pixels, because many simultaneous prefetches would delay one another.
-#ifdef __NVPTX__ // NVIDIA's compiler rejects the address space, and graphics cards hide the latency themselves
+#ifdef __NVPTX__ // NVIDIA's compiler rejects the address space, and GPUs hide the latency themselves
 #define FETCH(p)
 #else
 #define FETCH(p) __builtin_prefetch((const void *)(size_t)(p))
@@ -108,8 +108,8 @@ INLINE ints add_pairs(ints sum, pairs a, pairs b) {
 }
 #endif
 
-// Types of a layer's values and sums. The last layer uses floating point. All other layers use 16-bit values with 32-bit sums, two products
-// per lane, so that planes are the same on every device.
+// Types of a layer's values and sums. The last layer uses floating point. All other layers use 16-bit values and 32-bit sums (two products per
+// lane), so that planes are the same on every device.
 #if LANES == 1
 #ifdef FIXED_POINT
 typedef int tap;

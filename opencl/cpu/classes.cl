@@ -2,7 +2,7 @@
 //
 // A work-item processes a tile of TILE columns and BAND rows, row by row.
 
-// Parameters of all functions that compute classes, which CLASSES_READ passes on.
+// Parameters of all functions that compute classes. CLASSES_READ contains the corresponding arguments.
 #define CLASSES_PARAMETERS \
     __global const ushort *restrict raw,                /* (row, col) DN */ \
     __global const int *restrict row_source,            /* (padded row) */ \

@@ -1,5 +1,6 @@
 // Processor variant: computes block means from the mosaic, block maps from the means, and quad maps from the block maps (common/clipping.cl). A
-// work-item processes a tile of blocks or quads. Most parts of a frame are dark, textured or unclipped. Vector code finds and skips them.
+// work-item processes a tile of blocks or quads. Most parts of a frame are dark, textured or unclipped. Vector code finds these parts, and they
+// are skipped.
 
 #define EACH_OF_TILE \
     for (int y = GROUP_ROW; y < min(GROUP_ROW + BAND, rows); y++) \
@@ -66,7 +67,7 @@ KERNEL_OF_ONE spread_estimates(__global const float *restrict means, __global co
     EACH_OF_TILE spread_at(y, x, means, response, uniformity, from, to, maps, last, rows, columns);
 }
 
-// Number of blocks per row from which LANES quads are interpolated.
+// Number of blocks in a row from which LANES quads are interpolated.
 #define BLOCKS_ACROSS (2 * LANES / BLOCK_COLUMNS + 2)
 
 COMPILED_ONCE read_maps_of_tile(int x0, int y0, __global const float8 *restrict maps, __global float *restrict to, int first,

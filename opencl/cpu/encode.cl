@@ -1,5 +1,5 @@
-// Processor variant: encodes the outputs X, Y, Z of a frame as the same picture that the kernel `transform` writes. It is used if the exposure
-// is computed from the outputs. The host reads LANES from the kernel's name.
+// Processor variant: encodes the outputs X, Y, Z of a frame. The picture is the same as the one that the kernel `transform` writes. This kernel is
+// used if the exposure is computed from the outputs. The host reads LANES from the kernel's name.
 //
 // A work-item processes a tile of TILE columns and BAND rows.
 

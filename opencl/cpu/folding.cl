@@ -1,7 +1,7 @@
 // Processor variant: processes pixels in pairs, and adds up the lanes of vectors.
 //
-// The two pixels of a pair are PAIR columns apart. If the CFA width allows, they have the same CFA site, and therefore the same class in
-// uniform areas. The weights, which are most of the data, are then read once for both.
+// The two pixels of a pair are PAIR columns apart. If the CFA width permits, they have the same CFA site, and therefore the same class in uniform
+// areas. The weights, which are most of the data, are then read once for both.
 
 // Number of unrolled loop iterations of four pixels each. A loop that is not unrolled compiles in half the time, but is up to 4 % slower in the
 // last layer. With PLANES, compilation time matters more, because linear outputs are usually rendered for a single frame, to find its exposure.
@@ -27,9 +27,9 @@
 #define PAIR_FIRST(n) ((n) / PAIR * 2 * PAIR + (n) % PAIR)                     // first pixel of pair n among LANES pixels
 #define PAIR_PLACE(x) (2 * ((x) / (2 * PAIR) * PAIR + (x) % PAIR) + (x) / PAIR % 2)  // index of pixel x if sorted by pair
 
-// The following functions add up the lanes of several vectors together, halving the number of vectors in each step. Vectors consist of groups of
-// four lanes. In brackets such as [a b a b], letters tell which vector each lane of a group comes from. SHUFFLE_FOURS combines lanes i, j, k and
-// l of corresponding groups in u and v.
+// The following functions add up the lanes of several vectors at the same time. Each step halves the number of vectors. Vectors consist of groups
+// of four lanes. In brackets such as [a b a b], each letter is the vector from which a lane of a group comes. SHUFFLE_FOURS combines lanes i, j, k
+// and l of corresponding groups in u and v.
 #if LANES == 16
 #define SHUFFLE_FOURS(u, v, i, j, k, l) __builtin_shufflevector(u, v, i, j, k, l, i + 4, j + 4, k + 4, l + 4, \
     i + 8, j + 8, k + 8, l + 8, i + 12, j + 12, k + 12, l + 12)

@@ -1,8 +1,8 @@
 // Processor variant: copies raw rows to the rows of a tile.
 //
-// A tile is TILE columns wide. With the margins of the patches, SPAN columns are read from RADIUS columns to the left of the tile, and numbered
-// p. The padded frame has RADIUS additional rows and columns on every side. row_source and column_source contain the index of the raw row or
-// column for each padded one (frame.mirrored_indices). Padding preserves the CFA phase.
+// A tile is TILE columns wide. Including the margins of the patches, SPAN columns are read, starting RADIUS columns to the left of the tile. Their
+// number is p. The padded frame has RADIUS additional rows and columns on every side. row_source and column_source contain, for each padded row or
+// column, the index of the raw row or column (frame.mirrored_indices). Padding preserves the CFA phase.
 
 #define SPAN ((TILE + 2 * RADIUS + 4 * LANES - 1) / (2 * LANES) * (2 * LANES) + LANES)  // with space for reads beyond the last patch
 #define WHOLE(n, size) (((n) + (size) - 1) / (size) * (size))  // n, rounded up to a multiple of `size`
@@ -23,7 +23,7 @@ INLINE void ingest_vector(ushort *row, __global const ushort *from) {
 }
 
 // Copies a raw row to row[p], clamped to MAX_RAW, for a tile that begins at column x0. The last vector inside the frame overlaps the previous
-// one, so that no pixels remain.
+// vector, so that every pixel is copied by a whole vector.
 INLINE void ingest(ushort *row, __global const ushort *raw_row, __global const int *column_source, int x0, int columns) {
     const int first = max(0, RADIUS - x0), last = min(TILE + 2 * RADIUS, columns - x0 + RADIUS);
     const int end = min(TILE + 2 * RADIUS, columns - x0 + 2 * RADIUS);

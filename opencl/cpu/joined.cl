@@ -1,5 +1,5 @@
-// Processor variant: computes classes and outputs of the first layer in one kernel. It uses the classes of a row while they are in the
-// first-level cache, and reads raw values only once. Classes are written only if another layer reads them.
+// Processor variant: computes classes and outputs of the first layer in one kernel. The classes of a row are used while they are in the first-level
+// cache, and raw values are read only once. Classes are written only if another layer reads them.
 
 #ifdef JOINED
 #define JOINED_PARAMETERS \

@@ -1,5 +1,5 @@
-// Processor variant: writes the outputs of a row, LANES pixels at a time, so that stores and the transfer curve overlap with the sums of the
-// next pixels.
+// Processor variant: writes the outputs of a row, LANES pixels at a time. The processor can then compute the sums of the next pixels while it
+// applies the transfer curve and stores the results.
 
 #ifdef SHADED
 #define GAIN_PARAMETER , __global const float *restrict gain  // (row, grid node) shading gains of the outputs
@@ -7,8 +7,8 @@
 
 #define LANE(i) (float)(i)
 
-// Shading gains of LANES pixels from column x. `gain` contains the gains of a row at grid nodes every GAIN_STEP columns, between which gains are
-// interpolated linearly.
+// Shading gains of LANES pixels from column x. `gain` contains the gains of a row at grid nodes that are GAIN_STEP columns apart. Between the nodes,
+// gains are interpolated linearly.
 INLINE floats gains_at(__global const float *gain, int x) {
     const int node = x / GAIN_STEP;
     const floats part = ((float)(x % GAIN_STEP) + (floats)(ALL_LANES(LANE))) * (1.0f / GAIN_STEP);
@@ -69,7 +69,7 @@ INLINE void write_pixels(__global float *picture, const floats *made, __global c
 
 #elif defined(NOT_ENCODED)
 
-// Writes only the sum of three outputs, so that the transforms can be timed without encoding.
+// Writes only the sum of three outputs, so that the time of the transforms can be measured without encoding.
 INLINE void write_pixels(__global float *picture, const floats *made, __global const float *matrix, size_t at, int count,
                          size_t pixels) {
     const floats sum = made[0] + made[1] + made[2];

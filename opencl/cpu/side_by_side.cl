@@ -2,8 +2,8 @@
 // floating-point layers with small patches.
 //
 // A vector of weights contains ONCE taps for each output, and the sums of an output occupy four lanes. ONCE taps of the patch are read at a
-// time and repeated for every output. All sums of a pixel then fit into one vector of 16 lanes or two vectors of 8 lanes. Adding up the lanes
-// takes a third of the time that it would take with one vector per output.
+// time and repeated for every output. All sums of a pixel then fit into one vector of 16 lanes or two vectors of 8 lanes. With one vector per
+// output, adding up the lanes would take three times as long.
 //
 // With three outputs, the weights of the fourth output are zero. In fixed point, its intercept is the number of fractional bits of the class.
 //
@@ -20,8 +20,8 @@
 #define PLANES_MADE OUTPUTS
 #define READ_AHEAD ONCE
 
-// Whether the weights are read only once for both pixels of a pair. Fixed-point layers always read them twice, because classes change so often
-// that mispredicted branches would take longer.
+// Whether the weights are read only once if both pixels of a pair have the same class. Fixed-point layers always read them twice, because classes
+// change so often that mispredicted branches would take longer.
 #ifdef FIXED_POINT
 #define SHARED(class, other) false
 #else

@@ -25,7 +25,8 @@ INLINE void smooth_pixels(floats *own, __global const float *const *row, size_t 
 #ifdef LEAST_REACH
 #define MARGIN_COLUMNS (LEAST_REACH > CHROMA_REACH ? LEAST_REACH : CHROMA_REACH)
 
-// Luminances of white objects with the raw values of LANES pixels from column x. Columns outside the frame repeat the outermost pixels.
+// Converts the raw values of LANES pixels, from column x, to the luminances of white objects with the same raw values. Columns outside the frame
+// repeat the outermost pixels.
 INLINE floats levels_of(__global const ushort *raw, __global const float *scale, float black_level, int phase, int x, int columns,
                         bool inside) {
     if (inside) {
@@ -41,8 +42,8 @@ INLINE floats levels_of(__global const ushort *raw, __global const float *scale,
     return LOAD_PRIVATE(floats, level);
 }
 
-// Raises pixels that are much darker than the raw values around them. Most pixels are brighter than the raw values of the first lines
-// require, and are skipped.
+// Raises pixels that are much darker than the raw values around them. The search for the smallest raw value ends as soon as all pixels of
+// the vector are at least as bright as the values found so far require. For most pixels, this is at once.
 INLINE void raise_pixels(floats *own, __global const float *const *row, size_t stride, LEAST_PARAMETERS floats gain, int y, int x,
                          int frame_rows, int columns, bool inside) {
     #define LEVELS(line, column) \

@@ -1,7 +1,7 @@
 // Processor variant: computes each channel's sum, sum of squares and saturation over the patch of every pixel.
 //
-// The sums are separable. Column sums are updated from row to row: the row that enters the patch is added, and the row that leaves it is
-// subtracted, each masked with its CFA row. Sums over RUN columns are computed once and shared by several patches.
+// The sums are separable. Column sums are updated from row to row: the row that enters the patch is added, and the row that leaves the patch is
+// subtracted. Both are masked with the channels of their CFA row. Sums over RUN columns are computed once and shared by several patches.
 
 #define RUN (PATCH < 3 ? PATCH : 3)         // columns per shared sum
 #define SPREAD (2 * SATURATION_RADIUS + 1)  // rows and columns in which saturation is tested
@@ -89,7 +89,8 @@ INLINE void add_runs(Runs *runs, const Columns *columns, int span) {
     }
 }
 
-// Sums of channel c over the patches that begin at columns p, p + 1 …, composed of shared sums over RUN columns and of the remaining columns.
+// Sums of channel c over the patches that begin at columns p, p + 1 …. They are composed of shared sums over RUN columns, and of the remaining
+// columns.
 INLINE uints patch_sum(const Runs *runs, const Columns *columns, int c, int p) {
     uints total = LOAD_PRIVATE(uints, runs->sum[c] + p);
     #pragma unroll

@@ -26,7 +26,7 @@ INLINE ints weigh(ints a, ints b, ints c, ints d, ints e) {
     return (middle + middle) + ((a + e) + c);
 }
 
-// Weighted sums over five rows, of which the first is rows[first % WINDOW].
+// Weighted sums over five rows, starting with rows[first % WINDOW].
 INLINE void weigh_rows(Products *sum, const Products *rows, int first, int span) {
     const Products *r[WINDOW];
     for (int i = 0; i < WINDOW; i++) r[i] = rows + (first + i) % WINDOW;

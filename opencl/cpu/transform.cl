@@ -3,8 +3,8 @@
 // A work-item processes a tile of TILE columns and BAND rows, row by row. A layer reads SOURCES planes: the mosaic, or the planes from the
 // previous layer.
 //
-// Column-major ring: a patch should fill as few vectors as possible, instead of one short vector per row. For each padded column, the ring
-// therefore contains the latest PATCH rows consecutively. The value at padded row k, column p and source s is
+// The latest rows are stored in a column-major ring, so that a patch fills as few vectors as possible, instead of one short vector per row. For
+// each padded column, the ring contains the latest PATCH rows consecutively. The value at padded row k, column p and source s is
 // ring[p * COLUMN + k * SOURCES + s], so a patch consists of PATCH * COLUMN consecutive values. In the next row, every patch begins SOURCES
 // values later. The new value of column p then overwrites the oldest value of column p + 1, which is no longer needed. Values are stored once
 // and never moved.
@@ -113,7 +113,7 @@ INLINE floats of_quads(__global const float *map) {
     return __builtin_shufflevector(quads, quads, ALL_LANES(OF_QUAD));
 }
 
-// Replaces outputs of LANES pixels in uniform clipped areas, then changes the hue in all clipped areas (l3cli/classes/clipping.py).
+// Replaces the outputs of LANES pixels in uniform clipped areas, then changes the hue in all clipped areas (l3cli/classes/clipping.py).
 INLINE void replace_clipped(floats *made, int row, int x, int rows, int columns CLIPPING_PARAMETER) {
     const size_t quads = QUADS_PLANE(rows, columns);
     __global const float *map = maps + (size_t)(row / 2) * QUADS_STRIDE(columns) + x / 2;

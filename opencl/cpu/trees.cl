@@ -1,7 +1,7 @@
 // Processor variant: computes the classes of a refinement layer with a decision tree, from its planes and the classes of the first layer.
 //
 // A work-item processes a tile of TILE columns and BAND rows, row by row, and stores the first and second differences of the latest five
-// rows. Weighted sums are separable: over the rows, and then over the columns.
+// rows. Weighted sums are separable: they are computed over the rows, and then over the columns.
 
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict tests
 #define STRUCTURE_READ label_words, tests
@@ -134,7 +134,7 @@ INLINE bool some(ints mask) {
     return all != 0;
 }
 
-// Finds the leaves or parts that remain after a group of tests.
+// Applies a group of tests to leaves or parts. In `left`, a bit is set for each of them that no test excludes.
 INLINE void rule_out(uints left[AT_ONCE], const Evidence e[AT_ONCE], __global const uint *tests, int group) {
     for (int i = 0; i < AT_ONCE; i++) left[i] = (uints)0xffffffffu;
     for (uint t = tests[group]; t < tests[group + 1]; t += 3) {

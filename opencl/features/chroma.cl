@@ -11,7 +11,7 @@
 // The colour of the patch: scores of all chromas (one pixel), or the signals from which scores are computed (vectors).
 typedef struct {
 #if LANES == 1
-    ints score[SCORES];        // score of each chroma, of which the lowest wins, then the sum of all channels
+    ints score[SCORES];        // score of each chroma (the lowest wins), then the sum of all channels
 #else
     uints pair[CHROMA_PAIRS];  // signals minus 32768, two 16-bit channels per word
 #endif
@@ -56,8 +56,8 @@ INLINE ints score_of(const Colour *colour, int k, __global const int *chroma_wei
 #endif
 }
 
-// Returns the chroma with the lowest score, or the first of several. With dither, some sites use the second-lowest score instead, if both
-// are close.
+// Returns the chroma with the lowest score, or the first of several. If the rule dithers and the second-lowest score is close, some sites use
+// the chroma with this score instead.
 INLINE uints chroma_of(const Colour *colour, uints site, __global const int *chroma_weights) {
     uints chroma = 0;
 #if CHROMAS > 1

@@ -14,7 +14,7 @@ INLINE void first_contrast_edges(uints *edge, __global const uint *contrast_edge
     for (int k = 0; k < CONTRASTS - 1; k++) edge[k] = contrast_edges[k * LEVELS];
 }
 
-// Replaces them with the thresholds of `level` if the pixel reaches this level.
+// Replaces the thresholds with those of `level` if the pixel reaches this level.
 INLINE void next_contrast_edges(uints *edge, ints reached, int level, __global const uint *contrast_edges) {
     for (int k = 0; k < CONTRASTS - 1; k++) edge[k] = reached ? (uints)contrast_edges[k * LEVELS + level] : edge[k];
 }

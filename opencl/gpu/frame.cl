@@ -125,7 +125,7 @@ INLINE void write(__global int *picture, const tap *output, __global const float
 INLINE void write(__global float *picture, const float *output, __global const float *matrix, size_t at, size_t pixels) {
     for (int o = 0; o < OUTPUTS; o++) picture[o * pixels + at] = output[o];
 }
-#elif defined(NOT_ENCODED)  // writes only the sum of three outputs, so that the transforms can be timed without encoding
+#elif defined(NOT_ENCODED)  // writes only the sum of three outputs, so that the time of the transforms can be measured without encoding
 INLINE void write(__global float *picture, const float *output, __global const float *matrix, size_t at, size_t pixels) {
     picture[at] = output[0] + output[1] + output[2];
 }
@@ -195,7 +195,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         }
     }
 #ifdef RATIO_TAPS
-    // Two taps follow the window: the chroma difference that a pure change in illumination would cause (l3cli/classes/refinement.py).
+    // Two taps follow the window: the chroma differences that a change in illumination alone would cause (l3cli/classes/refinement.py).
     float sum[SOURCES] = {0};
     for (int i = 0; i < PATCH; i++)
         for (int j = 0; j < PATCH; j++)
@@ -222,7 +222,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
 #endif
 #endif
 #ifdef COARSE_CHROMA
-    // Add the change by the coarse chroma filter (l3cli/classes/coarse_chroma.py).
+    // Add the change from the coarse chroma filter (l3cli/classes/coarse_chroma.py).
     const int row = row_source[y + RADIUS];
     for (int n = 0; n < 4; n++) {
         const size_t there = (size_t)(NEAREST(row) + MARGIN + n / 2) * BLOCKS_STRIDE(columns) + NEAREST(x) + MARGIN + n % 2;

@@ -6,7 +6,7 @@
 // exceeds its threshold.
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict nodes, __global const uint *restrict leaf_of_node
 
-// Returns the child node. One product and one comparison in float32 select it, which gives the same result on every device.
+// Returns the child node. It is selected by one product and one comparison in float32, so it is the same on every device.
 INLINE uint next_node(uint node, const Evidence *e, __global const uint *nodes) {
     const uint word = nodes[2 * node + 1];
     return (word >> 8) + (e->numerator[word & 0x3f] > as_float(nodes[2 * node]) * e->denominator[word >> 6 & 3]);

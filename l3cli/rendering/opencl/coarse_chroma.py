@@ -1,4 +1,4 @@
-"""Coarse chroma filter and replacement of clipped areas on an OpenCL device.
+"""Run the coarse chroma filter, and the correction of clipped areas, on an OpenCL device.
 
 The reference implementations are in l3cli/classes/coarse_chroma.py and l3cli/classes/clipping.py.
 """
@@ -84,7 +84,7 @@ class DeviceCoarseChroma:
         return events, (before, last)
 
     def _room(self, track: Track, shape: tuple[int, int]) -> list[Any]:
-        """Return a track's three block buffers for planes of size `shape`.
+        """Return the three block buffers of a track, for planes of size `shape`.
 
         Their margins are filled with `UNLIKE_ANY`, so that the filter never averages across the edge of the frame.
         """
@@ -100,7 +100,7 @@ class DeviceCoarseChroma:
 
 
 class DeviceClipping:
-    """Kernels and buffers for the replacement of uniform clipped areas. The kernels are compiled for the first frame."""
+    """Kernels and buffers for the correction of clipped areas. The kernels are compiled for the first frame."""
 
     def __init__(
         self, kernel: Callable[..., Any], run: Callable[..., Any], constant: Callable[..., Any], table: TransformTable,
@@ -108,14 +108,14 @@ class DeviceClipping:
     ) -> None:  # fmt: skip
         """Store the arguments, without compiling the kernels.
 
-        `table` contains the coefficients for the replacement. The other arguments are as in `DeviceCoarseChroma`.
+        `table` contains the coefficients of the correction. The other arguments are as in `DeviceCoarseChroma`.
         """
         self._make, self._run, self._constant, self._table, self._variant = kernel, run, constant, table, variant
         self._kernels: list[Any] = []  # "measure_blocks", "map_blocks", "spread_estimates" and "read_maps"
         self._constants: list[Any] = []  # buffers with the CFA, and with the response followed by the white
 
     def maps(self, track: Track, band: Band, frame: RawFrame) -> tuple[list[Any], Any]:
-        """Enqueue the kernels that compute replacement values for clipped areas.
+        """Enqueue the kernels that compute the maps for correcting clipped areas (see `classes.clipping`).
 
         Parameters
         ----------
@@ -131,7 +131,7 @@ class DeviceClipping:
         events : list
             Events of the enqueued kernels.
         quads : buffer
-            Replacement values for each quad of 2 × 2 pixels.
+            Maps, with one value for each quad of 2 × 2 pixels.
         """
         table = self._table
         clipping = table.later[-1].clipping

@@ -1,9 +1,9 @@
-"""Finds OpenCL devices, explains why a device is missing, and chooses the folder of PoCL's kernel cache.
+"""Find OpenCL devices, explain why a device is missing, and choose the folder of PoCL's kernel cache.
 
 PoCL trusts all files in its cache, and aborts the process if it cannot write to it. The folder must therefore be writable
-only by this user, and be on a disk with enough space. Otherwise a temporary folder is used. docs/limits.md describes what
-happens if a cached file is damaged. Other drivers have their own caches. pyopencl's cache is disabled, because pyopencl
-unpickles its files.
+only by this user, and must be on a disk with enough space. Otherwise, a temporary folder is used. docs/limits.md describes
+what happens if a cached file is damaged. Other drivers have their own caches. The cache of pyopencl is disabled, because
+pyopencl unpickles its files.
 """
 
 import atexit
@@ -39,8 +39,8 @@ FORKED = (
 def prepare_cache() -> str:
     """Set the folder of PoCL's cache. Must be called before the first OpenCL function.
 
-    The folder is created if necessary, with access only for this user. A temporary folder replaces it if other users can
-    write to it, or if the disk is full.
+    If necessary, the folder is created, with access only for this user. If other users can write to it, or if the disk is
+    full, a temporary folder is used instead.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def prepare_cache() -> str:
         os.environ["POCL_CACHE_DIR"] = _temporary_folder()
         return "the user has no home folder"
     try:
-        # New parent folders get safe permissions too: whoever can write to a parent could replace the folder.
+        # New parent folders also get safe permissions, because whoever can write to a parent could replace the folder.
         for each in (*reversed(folder.parents), folder):
             each.mkdir(mode=stat.S_IRWXU, exist_ok=True)
         state = folder.stat()
@@ -86,7 +86,7 @@ def cache_warning() -> str:
 def _user_folder() -> Path | None:
     """Return the user's folder for PoCL's cache, or None if the user has no home folder.
 
-    This is POCL_CACHE_DIR if set, otherwise a folder inside XDG_CACHE_HOME or ~/.cache.
+    If POCL_CACHE_DIR is set, it is this folder, otherwise a folder inside XDG_CACHE_HOME or ~/.cache.
     """
     chosen, caches = Path(os.environ.get("POCL_CACHE_DIR", "")), Path(os.environ.get("XDG_CACHE_HOME", ""))
     if chosen.is_absolute():
@@ -145,8 +145,8 @@ def pyopencl() -> Any:
     Raises
     ------
     DeviceError
-        If OpenCL is not installed, or if this process was forked from a process that uses OpenCL. The driver's threads do
-        not exist in the forked process, so the first OpenCL call would wait forever.
+        If OpenCL is not installed, or if this process was forked from a process that uses OpenCL. In a forked process, the
+        first OpenCL call would wait forever, because the driver's threads do not exist.
     """
     global _owner
     if _owner not in (None, os.getpid()):
@@ -168,7 +168,7 @@ def devices() -> list[Any]:
 def survey() -> list[str]:
     """Describe all devices, and all platforms without devices, one line each.
 
-    Without a device, the lines explain what is missing and how to install it.
+    If there is no device, the lines explain what is missing and how to install it.
     """
     lines, number = [], 0
     platforms = _platforms()
@@ -187,7 +187,7 @@ def survey() -> list[str]:
 
 
 def _platforms() -> list[tuple[str, list[Any], str]]:
-    """Return each platform's name, its devices, and why it has none."""
+    """Return each platform's name, its devices and, if it has none, the reason."""
     cl = pyopencl()
     try:
         platforms = cl.get_platforms()
@@ -211,8 +211,8 @@ def choose_device(wanted: str) -> Any:
     Parameters
     ----------
     wanted : str
-        Number of the device, or part of its name. The empty string means the first GPU, or the first device if there is no
-        GPU.
+        Number of the device, or part of its name. If it is empty, the first GPU is chosen or, if there is no GPU, the first
+        device.
 
     Raises
     ------

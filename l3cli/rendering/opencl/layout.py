@@ -1,4 +1,4 @@
-"""Converts a table to source texts, macros and arrays for the kernels (opencl/**/*.cl)."""
+"""Convert a table to source texts, macros and arrays for the kernels (opencl/**/*.cl)."""
 
 import functools
 import math
@@ -65,9 +65,9 @@ def curve_macros(curve: Curve, steps: int, degree: int) -> dict[str, int | str]:
 def curve_pieces(curve: Curve, top: int) -> dict[str, int | str]:
     """Approximate a transfer curve by 32 parabolas, and return the macros for encoding.cl.
 
-    For a linear value x, the parabolas are functions of u = 2^-8 + CURVE_SHARE · x. The upper bits of u as a float select
-    the parabola, so there are four per octave of u. The result is the code from 0 to `top`, plus one half for rounding. The
-    parabolas are fitted at Chebyshev nodes, with errors of up to 3e-5 of `top`.
+    For a linear value x, the parabolas are functions of u = 2^-8 + CURVE_SHARE · x. There are four parabolas per octave of
+    u, and the upper bits of u (as a float) select one of them. The result is the code from 0 to `top`, plus one half for
+    rounding. The parabolas are fitted at Chebyshev nodes, with errors of up to 3e-5 of `top`.
     """
     start, share = 2.0**-8, 1 - 2.0**-8 - 2.0**-22
     octave, quarter = np.divmod(np.arange(32), 4)
@@ -119,7 +119,7 @@ class Cut:
 
 
 def source_folder() -> Path:
-    """Return the folder of the .cl files: inside an installed package, or next to the package in a repository."""
+    """Return the folder of the .cl files. It is inside an installed package, or next to the package in a repository."""
     package = Path(__file__).parents[2]
     inside = package / "opencl"
     return inside if inside.is_dir() else package.parent / "opencl"
@@ -128,7 +128,7 @@ def source_folder() -> Path:
 def first_source(variant: str, rule: ClassRule) -> str:
     """Return the source of the first layer's kernels, including the code for its class features.
 
-    #line directives make compiler messages refer to the original files and lines.
+    Because of its #line directives, compiler messages refer to the original files and lines.
     """
     features = [
         joined_files("common/vectors.cl", *plane_kernel.snippets(rule)),
@@ -172,7 +172,7 @@ def joined_files(*names: str) -> str:
 def paired_source(variant: str, name: str, *shared: str) -> str:
     """Return the source of a kernel that consists of two files with the same `name`.
 
-    One is in opencl/common/, the other in the folder of the variant. The files `shared` precede them.
+    One of them is in opencl/common/, the other in the folder of the variant. The files `shared` precede them.
     """
     return joined_files("common/vectors.cl", *shared, f"common/{name}", f"{FOLDERS[variant]}/{name}")
 
@@ -200,7 +200,7 @@ def table_macros(table: TransformTable, sets: int = 1) -> Macros:
 
 
 def white_macros(table: TransformTable) -> Macros:
-    """Return the macros that limit outputs to the white that clips all channels, if the table contains it."""
+    """Return the macros for limiting outputs to the white that clips all channels, if the table contains this white."""
     return {} if table.clipped_white is None else {"WHITE_FROM": _literal(clipping.WHITE_FROM)}
 
 
@@ -224,7 +224,7 @@ def least_macros(table: TransformTable) -> Macros:
 def site_scale(table: TransformTable) -> NDArray[np.float64]:
     """Return `white_scale` at each CFA site, as an array (CFA row, column).
 
-    The CFA columns continue periodically for `EXTRA_CFA_COLUMNS`, so that kernels can load whole vectors from any column.
+    `EXTRA_CFA_COLUMNS` further columns repeat the CFA, so that kernels can load whole vectors from any column.
     """
     columns = np.arange(table.cfa.shape[1] + EXTRA_CFA_COLUMNS) % table.cfa.shape[1]
     return np.asarray(white_scale(table)[table.cfa[:, columns]])
@@ -256,7 +256,7 @@ COARSE_MACROS: Macros = {"MARGIN": COARSE_MARGIN}
 
 
 def clipping_macros(table: TransformTable) -> Macros:
-    """Return the macros for replacing uniform clipped areas."""
+    """Return the macros for correcting clipped areas."""
     rows, columns = clipping.block_sides(table.cfa)
     steps = {
         "BEGINS": clipping.BEGINS,
@@ -292,7 +292,7 @@ def clipping_macros(table: TransformTable) -> Macros:
     }
 
 
-# Macros for the transforms of every layer but the last, which compute planes for the next layer.
+# Macros for the transforms of all layers except the last. They compute planes for the next layer.
 TO_PLANES: Macros = {
     "OUTPUTS": PLANES,
     "FIXED_POINT": 1,
@@ -349,7 +349,7 @@ def display_macros(display: Display) -> Macros:
 def class_arrays(table: TransformTable, *others: TransformTable) -> tuple[NDArray, ...]:
     """Return the constant arguments of the kernel `classes`.
 
-    If it chooses between several sets of transforms, `others` are the tables with the sets for lower noise.
+    If the kernel chooses between several sets of transforms, `others` are the tables with the sets for lower noise.
     """
     rule, channels = table.first.rule, len(table.channels)
     neighbours = neighbourhoods(table.cfa, rule.patch, channels)
@@ -419,7 +419,7 @@ class PlaneStep:
 
     weights: Any  # weights of the previous layer, which computes the planes
     rule: tuple[Any, ...]  # constants of the kernel `structures` (gradient.cl, structure.cl, tree.cl)
-    nothing: Any  # buffer of zeros in place of the display constants, which planes do not use
+    nothing: Any  # buffer of zeros in place of the display constants, which are not needed for planes
 
 
 def table_buffers(

@@ -1,9 +1,9 @@
-"""Selects a target processor for PoCL 3.0 from PyPI, if its compiler is too old for the actual processor.
+"""Select a target processor for PoCL 3.0 from PyPI if its compiler is too old for the actual processor.
 
-PoCL gets the processor name from its compiler, LLVM 14 from 2022. Newer processors are called "generic", which LLVM does not
-accept as a target, so no kernel can be compiled (https://github.com/pocl/pocl/issues/1049). PoCL has no option to change the
-name. This module therefore overwrites the name in PoCL's device structure with an older processor that LLVM supports and
-whose instruction sets the actual processor has (docs/limits.md).
+PoCL gets the processor name from its compiler, LLVM 14 from 2022. LLVM calls newer processors "generic", but does not accept
+this name as a target, so no kernel can be compiled (https://github.com/pocl/pocl/issues/1049). PoCL has no option to change
+the name. This module therefore overwrites the name in PoCL's device structure. The new name is that of an older processor
+that LLVM supports, and with instruction sets that the actual processor also has (docs/limits.md).
 """
 
 import ctypes
@@ -17,7 +17,7 @@ UNKNOWN_PROCESSOR = re.compile(r" PoCL HSTR: pthread-x86_64-.*-generic$")  # mat
 UNKNOWN = b"generic\0"
 NAME_OFFSET = 640  # byte offset of the pointer to the name in the device structure
 POINTER = ctypes.sizeof(ctypes.c_void_p)
-# LLVM's name of a processor → required CPU flags, as named by Linux; the newest processor comes first.
+# Required CPU flags (as named by Linux) of processors, by LLVM's processor name. The newest processor comes first.
 HASWELL = frozenset(["avx2", "bmi1", "bmi2", "f16c", "fma", "movbe", "abm"])
 PROCESSORS = {
     b"skylake-avx512": HASWELL | frozenset(["avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"]),
@@ -31,7 +31,7 @@ _names = {name: ctypes.create_string_buffer(name) for name in PROCESSORS}
 def compiled_for(device: Any) -> str:
     """Select a target processor for PoCL's compiler if it does not support the actual one, and return the target's name.
 
-    The result is "" if PoCL chooses the target itself. Repeated calls return the same name.
+    If PoCL chooses the target itself, the result is "". Repeated calls return the same name.
     """
     if PLATFORM not in device.platform.version or not UNKNOWN_PROCESSOR.search(device.version):
         return ""
@@ -45,7 +45,7 @@ def compiled_for(device: Any) -> str:
 
 
 def _read(place: int, size: int) -> bytes:
-    """Read memory at an address, or return b"" if the address is invalid, where direct access would crash."""
+    """Read memory at an address. If the address is invalid, return b"" instead of crashing."""
     with open("/proc/self/mem", "rb", buffering=0) as memory:
         try:
             return os.pread(memory.fileno(), size, place)

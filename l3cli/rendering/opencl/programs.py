@@ -1,4 +1,4 @@
-"""Compiles the OpenCL programs for a table, each for the first frame that uses it."""
+"""Compile the OpenCL programs for a table. Each program is compiled for the first frame that uses it."""
 
 import functools
 import os
@@ -45,12 +45,12 @@ class Compiler:
 
 @functools.cache
 def compiler_of(device: Any) -> Compiler:
-    """Return the compiler for a device, which all renderers in a process share."""
+    """Return the compiler for a device. All renderers in a process share it."""
     return Compiler(pyopencl().Context([device]), device)
 
 
 def chosen(device: str | None, variant: str | None) -> tuple[Any, str]:
-    """Resolve the `device` and `variant` of `OpenCLRenderer`, including their defaults.
+    """Return the device and the variant for the arguments `device` and `variant` of `OpenCLRenderer`.
 
     Raises DeviceError if no device matches, and RecipeError if the variant is unknown.
     """
@@ -71,8 +71,8 @@ def make_ready(device: str | None = None, variant: str | None = None) -> None:
 def usual_encoder(compiler: Compiler, variant: str) -> int:
     """Compile the encoder for 8-bit sRGB pictures, and return the device's vector length.
 
-    The vector length is part of the kernel's name. Because PoCL compiles a kernel when it first runs, the kernel is run on
-    one pixel.
+    The vector length is part of the kernel's name. PoCL compiles a kernel when it is first run, so this function runs the
+    kernel on one pixel.
     """
     cl, context = pyopencl(), compiler.context
     cut = layout.VARIANTS[variant].encoder_cut
@@ -88,8 +88,8 @@ def usual_encoder(compiler: Compiler, variant: str) -> int:
 class Programs:
     """The kernels for a table's layers, counted from 0, and for the encoder.
 
-    In all methods, `ending` contains the macros that select what a kernel writes: planes, outputs or encoded pixels
-    (layout.py).
+    In all methods, `ending` contains the macros from layout.py that select what a kernel writes: planes, outputs or encoded
+    pixels.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class Programs:
     def transforms(self, ending: layout.Macros, joined: bool = False) -> Any:
         """Return the kernel that applies the last layer's transforms.
 
-        With `joined`, which requires a single layer, the kernel also classifies the pixels.
+        If `joined` is true, the kernel also classifies the pixels. This requires a table with a single layer.
         """
         return self._transforms(self._last, ending, joined)
 
@@ -129,7 +129,7 @@ class Programs:
     def planes(self, layer: int, joined: bool = False) -> Any:
         """Return the kernel that computes the planes from `layer` for the next layer.
 
-        With `joined`, which requires the first layer, the kernel also classifies the pixels.
+        If `joined` is true, the kernel also classifies the pixels. This is possible only in the first layer.
         """
         return self._transforms(layer, layout.TO_PLANES, joined)
 
@@ -139,7 +139,7 @@ class Programs:
         return self._kernel(self._built(layer, ending | (TRANSFORM_ONLY if self.joins and not layer else {})), "transform")
 
     def classes(self, layer: int) -> Any:
-        """Return the kernel that classifies the pixels for a layer, from an already compiled program if possible."""
+        """Return the kernel that classifies the pixels for a layer. A program that is already compiled is reused."""
         usual = layout.TO_PLANES if layer < self._last else layout.OUTPUTS_AS_THEY_ARE
         if self.joins and not layer:
             return self._kernel(self._built(layer, {**usual, **CLASSES_ONLY}), "classes")

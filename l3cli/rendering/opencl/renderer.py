@@ -1,4 +1,4 @@
-"""Rendering on an OpenCL device (docs/method.md#rendering).
+"""Render frames on an OpenCL device (docs/method.md#rendering).
 
 For each frame, the renderer uploads the raw values, runs one or two kernels per layer (opencl/*.cl), and downloads the
 result.
@@ -47,7 +47,7 @@ GROUP = 64  # work-items per group of the shading kernel in the graphics variant
 
 
 class DeviceShading:
-    """Kernel and buffers for lens shading.
+    """Kernel and buffers for correcting lens shading.
 
     The kernel is compiled for the first frame with colour shading. Buffers are reused while the shading remains the same.
     """
@@ -71,16 +71,16 @@ class DeviceShading:
 
     @staticmethod
     def macros(shading: Shading | None) -> Macros:
-        """Return the macros with which the last layer's kernels apply the shading, if any."""
+        """Return the macros for correcting the shading, if any, in the kernels of the last layer."""
         return {} if shading is None else {"SHADED": 1, "GAIN_STEP": NODE_SPACING_COLUMNS}
 
     def gain(self, shading: Shading | None, rows: slice) -> tuple[Any, ...]:
-        """Return a tuple with the buffer of the shading gains for `rows`, or an empty tuple without shading."""
+        """Return the buffer with the shading gains of `rows`, in a tuple. Without shading, the tuple is empty."""
         return () if shading is None else (self._buffer(shading, "gain", rows),)
 
     @staticmethod
     def corrects(frame: RawFrame) -> bool:
-        """Whether a frame has colour shading. The kernel corrects it in place, in a copy of the raw values."""
+        """Whether a frame has colour shading. The kernel corrects it in a copy of the raw values."""
         return frame.shading is not None and frame.shading.colour is not None
 
     def correct(self, frame: RawFrame, track: Track, band: Band) -> Any:
@@ -117,7 +117,7 @@ class Unread:
     result: Any  # buffer with the outputs
 
     def are_of(self, frame: RawFrame) -> bool:
-        """Whether these are the outputs of this frame, and its values have not changed since."""
+        """Whether these are the outputs of `frame`, and its values have not changed since rendering."""
         return self.frame is frame and np.array_equal(self.values, frame.values)
 
 
@@ -178,7 +178,7 @@ class OpenCLRenderer:
             self._frame_bands: tuple[tuple[int, ...], tuple[Band, ...]] | None = None
             self._unread: Unread | None = None
             self._in_place = shares_memory(self.device)
-            self._joined = self._programs.joins  # whether one kernel determines classes and applies transforms
+            self._joined = self._programs.joins  # whether one kernel computes both classes and transforms
             self._shading = DeviceShading(self._kernel, self._constant, self._cut.lanes)
             self._spectra = DeviceSpectra(self._kernel, self._run, table, self.variant) if table.spectra else None
             self._chroma = (
@@ -271,7 +271,7 @@ class OpenCLRenderer:
 
         Classes and transforms of the first layer are timed separately, even if one kernel usually computes both.
         "transforms" is the time of a kernel without encoding, which writes one number per pixel. "encode" is the additional
-        time of the kernel with encoding. Ignore the result of the first call, which includes compilation.
+        time of the kernel with encoding. Ignore the result of the first call, because it includes compilation.
 
         Parameters
         ----------
@@ -399,7 +399,7 @@ class OpenCLRenderer:
             work.add("classes", self._shading.correct(frame, track, band))
 
     def _chosen(self, frame: RawFrame, track: Track, band: Band, work: Work) -> tuple[Any, ...]:
-        """Enqueue the upload of a band's transform set indices, one per pixel. Return a tuple with their buffer."""
+        """Enqueue the upload of the index of each pixel's set of transforms. Return the buffer in a tuple."""
         rows = band.reads[0]
         pixels = np.zeros((rows.stop - rows.start) * band.columns + READ_AHEAD, np.uint8)
         pixels[:-READ_AHEAD].reshape(-1, band.columns)[...] = self._sets.chosen(frame)[rows]
@@ -431,8 +431,8 @@ class OpenCLRenderer:
     def _reads(self, number: int, track: Track, band: Band, frame: RawFrame) -> tuple[tuple[Any, ...], tuple[np.int32, ...]]:
         """Return the first and last arguments of the kernel that applies a layer's transforms.
 
-        The first arguments are the raw values or planes, the index buffers for padding, and the class map. A kernel that
-        also classifies the pixels receives the class rule, too. The last arguments are integers.
+        The first arguments are the raw values or planes, the index buffers for padding, and the class map. If the kernel
+        also classifies the pixels, they include the class rule. The last arguments are integers.
         """
         if self._joined and not number:
             return self._decides(track, band), self._site(band, frame)
@@ -447,8 +447,8 @@ class OpenCLRenderer:
     ) -> None:  # fmt: skip
         """Enqueue all steps of the last layer for a band, which write to `result`.
 
-        As far as the table uses them, these are coarse chroma, the replacement of clipped areas, the transforms with the
-        encoding, and the smoothing of spectra or chroma.
+        These are the transforms with the encoding. If the table uses them, coarse chroma and the correction of clipped areas
+        precede the transforms, and the smoothing of spectra or chroma follows.
         """
         number = len(self._layers)
         smooths = self._spectra or self._chroma
@@ -486,7 +486,7 @@ class OpenCLRenderer:
         return (track.first,)
 
     def _target(self, track: Track, parts: list[NDArray], work: Work) -> Any:
-        """Return the buffer for a band's results: the memory of the result array itself if possible."""
+        """Return the buffer for a band's results. If possible, it is the memory of the result array itself."""
         if self._in_place and len(parts) == 1:
             return work.in_place(track.queue, parts[0], written=True)
         track.result = self._scratch(track.result, sum(part.nbytes for part in parts))

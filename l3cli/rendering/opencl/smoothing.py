@@ -1,4 +1,4 @@
-"""Smoothing of spectra and chroma on an OpenCL device. The reference is in l3cli/rendering/reference.py."""
+"""Smooth spectra and chroma on an OpenCL device. The reference is in l3cli/rendering/reference.py."""
 
 from collections.abc import Callable
 from typing import Any
@@ -33,7 +33,7 @@ DARKEST: Macros = {"DARKEST": f"{SMOOTHING_DARKEST!r}f"}
 
 
 def room_for(track: Track, band: Band, outputs: int) -> Any:
-    """Return the track's buffer for a band's outputs before smoothing, enlarged if necessary."""
+    """Return a track's buffer for a band's outputs before smoothing. It is enlarged if necessary."""
     track.made = scratch(track.queue.context, track.made, 4 * outputs * (band.made.stop - band.made.start) * band.columns)
     return track.made
 
@@ -41,8 +41,8 @@ def room_for(track: Track, band: Band, outputs: int) -> Any:
 def place_of(band: Band, frame_rows: int) -> tuple[np.int32, ...]:
     """Return the last arguments of a smoothing kernel, which describe the rows of a band.
 
-    These are the number of rows to read, the frame row of the first row to read, the frame row of the first row to write,
-    and the number of rows in the frame.
+    These are the number of rows to read, the first row to read, the first row to write, and the number of rows in the frame.
+    The first rows are counted from the top of the frame.
     """
     made, first = band.made, band.rows.start
     return tuple(map(np.int32, (made.stop - made.start, made.start, first, frame_rows)))

@@ -1,7 +1,7 @@
-"""Command queues, buffers and enqueued commands of an OpenCL device, and the division of a frame into bands.
+"""Manage the command queues and buffers of an OpenCL device, and divide a frame into bands.
 
 A band is a range of rows that is rendered as a whole. `Band` contains the rows that each layer needs for it, and index
-buffers for padding, which map rows and columns outside the frame to mirrored ones inside.
+buffers for padding. These map rows and columns outside the frame to mirrored rows and columns inside.
 """
 
 import os
@@ -30,7 +30,7 @@ SPECTRA = "spectra"  # additional stage after the transforms: smoothing of spect
 BAND_PIXELS = 1 << 22  # approximate number of pixels in a band, without margins
 
 
-Source = Any  # device buffer with the index, inside the frame, of each row or column of a padded range
+Source = Any  # device buffer with the source index, inside the frame, of each row or column in a padded range
 
 
 def stages_of(table: TransformTable) -> tuple[str, ...]:
@@ -71,8 +71,8 @@ class Track:
         self.planes: list[Any] = [None] * layers  # input planes of each refinement layer
         self.refined_labels: list[Any] = [None] * layers  # class map of each refinement layer
         self.coarse: tuple[tuple[int, int], list[Any]] | None = None  # shape and buffers of coarse chroma
-        self.means: Any = None  # block means of the mosaic, for replacing uniform clipped areas
-        self.maps: Any = None  # replacement values of each block
+        self.means: Any = None  # block means of the mosaic, for the correction of clipped areas
+        self.maps: Any = None  # maps of each block (see `classes.clipping`)
         self.uniformity: Any = None  # uniformity of each block
         self.estimates: list[Any] = [None, None]  # estimated signals of clipped blocks, before and after an iteration
         self.quads: Any = None  # `maps`, interpolated to quads of pixels
@@ -84,8 +84,8 @@ class Track:
     def run(self, kernel: Any, grid: tuple[int, ...], group: tuple[int, ...], *arguments: Any) -> Any:
         """Enqueue a kernel.
 
-        Its argument types are declared before the first call. Otherwise pyopencl would determine them at every call, which
-        takes longer than everything else before the first kernel of a frame.
+        Its argument types are declared before the first call. Otherwise, pyopencl would determine them at every call. This
+        would take longer than everything else before the first kernel of a frame.
         """
         if kernel not in self._typed:
             kernel.set_scalar_arg_dtypes([type(each) if isinstance(each, np.generic) else None for each in arguments])
@@ -99,7 +99,7 @@ def shares_memory(device: Any) -> bool:
 
 
 class Work:
-    """The enqueued commands of one frame: their events, by stage, and the host arrays that the device accesses.
+    """The commands enqueued for one frame: their events by stage, and the host arrays that the device accesses.
 
     `Work` keeps these arrays alive until all commands have finished, even if the program is interrupted.
     """
@@ -189,12 +189,12 @@ class PlaneSource:
 
 @dataclass(frozen=True)
 class Band:
-    """A range of rows that is rendered as a whole, and the rows that each step needs for it."""
+    """A range of rows that is rendered as a whole, and the rows that each step reads for it."""
 
-    # The rows of each refinement layer's input planes, then the rows of the outputs to smooth (only if the table smooths
-    # chroma or spectra), then the rows of the band itself.
+    # The rows of each refinement layer's input planes, then (if the table smooths chroma or spectra) the rows of the outputs
+    # to smooth, then the rows of the band itself.
     reads: tuple[slice, ...]
-    raw_rows: slice  # raw rows that the steps need together
+    raw_rows: slice  # raw rows that any of the steps needs
     columns: int  # number of columns in the frame
     mosaic_source: tuple[Source, Source]  # index buffers for rows, counted from the start of `raw_rows`, and for columns
     later: tuple[PlaneSource, ...]  # one per refinement layer
@@ -217,7 +217,7 @@ class Band:
 def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDArray], Source]) -> Iterator[Band]:
     """Yield the bands of a frame (rows, columns) from top to bottom.
 
-    The rows that each step reads follow from the margins of all later steps. `constant` copies an index array to the device.
+    The margins of all later steps determine the rows that a step reads. `constant` copies an index array to the device.
     """
     (rows, columns), radius, cfa = shape, table.first.rule.radius, table.cfa
     row_source = mirrored_indices(rows, radius, cfa.shape[0])
