@@ -31,7 +31,7 @@ from l3cli.frames.measurement import (
 )
 from l3cli.physics import spectra
 
-OVEREXPOSED = 1e-3  # if a channel has at least this fraction of saturated pixels, it ignores a monochromatic capture
+OVEREXPOSED = 1e-3  # a monochromatic capture is not used for channels with at least this fraction of saturated pixels
 CUT_OFF = 0.05  # a monochromatic spectrum is incomplete if its ends exceed this fraction of its peak
 Array = NDArray[np.float64]
 DEGREE = 4  # degree of the polynomial that models the shading

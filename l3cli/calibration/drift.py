@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 class DriftError:
     """Lamp drift, estimated from the charts, and the resulting uncertainty of the responsivities."""
 
-    deviation: float  # relative standard deviation of the lamps from their measured spectra
+    deviation: float  # relative standard deviation of the lamps' brightness since their spectra were measured
     curve_error: Array  # (channel, wavelength): standard deviation of the responsivities, excluding their common scale
     scale_error: float  # relative standard deviation of the common scale
 

@@ -122,7 +122,7 @@ class Survey:
     """Contents of a folder of captures."""
 
     shape: tuple[int, int]  # rows and columns of the frames
-    period: tuple[int, int]  # rows and columns after which the filter array repeats
+    period: tuple[int, int]  # number of rows and columns in the CFA
     array: CfaRecipe | None  # colour filter array, from the metadata
     black_level: float | None  # DN; from the metadata
     white_level: float | None  # DN; from the metadata

@@ -47,7 +47,7 @@ Array = NDArray[np.floating]
 MOST_EVIDENCES = 1000  # largest number of cached results
 _EVIDENCES: dict[bytes, float] = {}  # cache, because the same shots and illuminants are evaluated three times
 IMPROBABLE = 0.02  # illuminants with a lower probability do not widen the confidence band
-# Smallest log ratio of probabilities, between another illuminant and the specified one, at which l3 warns.
+# l3 warns if another illuminant is more probable than the specified one, and the log probability ratio exceeds this value.
 NOTICED = 3.0
 
 
@@ -80,7 +80,7 @@ def statistics(cameras: Sequence[FinishedCurves]) -> CurveStatistics:
 
 
 def camera_prior(known: CurveStatistics) -> Prior:
-    """Return the prior for a camera that has the channels of the measured cameras, and resembles them."""
+    """Return the prior for a camera that resembles the measured cameras and has the same channels."""
     count, size = known.mean.shape
     covariance = _covariance(known.modes).reshape(count * size, count * size) + JITTER * np.eye(count * size)
     return Prior(
@@ -556,7 +556,7 @@ def response_errors(responsivity: Array, covariance: Array, light: Array, surfac
 def next_light(
     shot: Shot, posterior: Posterior, candidates: Mapping[str, Array], judged_under: Sequence[Array], surfaces: Array
 ) -> tuple[str, float]:
-    """Find the best illuminant for an additional photo of the same chart: the one that reduces the colour error most.
+    """Find the illuminant for an additional photo of the same chart that reduces the colour error most.
 
     Parameters
     ----------
