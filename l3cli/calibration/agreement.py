@@ -174,8 +174,7 @@ def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
 
 
 def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
-    """Return the factor by which a monochromatic capture is too bright (> 1) or too dark (< 1), compared with its
-    neighbours.
+    """Return the factor by which a monochromatic capture is too bright (> 1) or too dark (< 1) for its neighbours.
 
     If the capture is plausible in at least one channel, the factor is 1. Otherwise, it is the factor in the channel that
     deviates least. `order` contains capture indices sorted by wavelength. `place` is the capture's position in `order`.

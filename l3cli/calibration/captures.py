@@ -121,7 +121,7 @@ def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Bo
 def measure_sweep(
     captures: Sequence[MonoCapture], body: Body, sensor: Sensor, each: statistics.Each = map
 ) -> tuple[responsivity.Sweep, tuple[str, ...]]:
-    """Set up the linear systems whose solutions are the responsivities (docs/method.md#responsivity).
+    """Set up the linear systems for computing the responsivities (docs/method.md#responsivity).
 
     Each monochromatic capture contributes one equation per channel, from the mean signal of the whole frame. Both sides are
     divided by the number of photons. Lens falloff is the same in all captures, so it affects only the scale of the

@@ -303,5 +303,5 @@ def mean_frame(capture: Capture) -> NDArray[np.float32]:
 
 
 def channel_shares(body: Body) -> Array:
-    """Return the fraction of all pixels that belong to each channel."""
+    """Return each channel's fraction of the pixels: (channel,)."""
     return np.bincount(body.cfa.ravel(), minlength=len(body.channels)) / body.cfa.size

@@ -1,4 +1,4 @@
-"""Chroma: the colour class of a patch whose central pixels are not saturated (docs/method.md#chroma).
+"""Chroma: the colour class of a patch without saturated pixels near its centre (docs/method.md#chroma).
 
     chroma = the first k that minimises Σ clamp((S · round(65536 / n) >> 12) − chroma_black_level, 0…65535) · weight[k]
 

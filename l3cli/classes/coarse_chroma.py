@@ -97,9 +97,10 @@ def edge_avoiding(blocks: Array, spacing: int, scale: Array) -> Array:
 
 
 def _between(length: int) -> tuple[NDArray[np.intp], Array]:
-    """Return, for each pixel along an axis, the index of the block before it and the interpolation weight of the next block.
+    """Return the interpolation between blocks for each pixel along an axis.
 
-    Index 0 is the padding block before the frame.
+    The results are the index of the block before the pixel, and the weight of the next block. Index 0 is the padding block
+    before the frame.
     """
     low, place = np.divmod(np.arange(length) + BLOCK // 2, BLOCK)
     return low, (place + 0.5) / BLOCK

@@ -75,7 +75,7 @@ def spared_cases(case_of_code: NDArray[np.uint16], filters: Sequence[int]) -> in
 
 
 def lost_filters(codes: Integers, filters: Sequence[int]) -> Integers:
-    """Count, for each saturation code, the colour filters of which all channels clip.
+    """Count the colour filters with only clipped channels, for each saturation code.
 
     `filters` contains the filter of each channel.
     """

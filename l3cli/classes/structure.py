@@ -92,7 +92,7 @@ def directions(a: Integers, b: Integers) -> tuple[Integers, Integers]:
 
 
 def turn_signs(turn: NDArray[np.int64]) -> tuple[int, int]:
-    """Return the factors, ±1, by which turning a window changes a = xx − yy and b = 2 xy of the structure tensor.
+    """Return the signs by which a = xx − yy and b = 2 xy are multiplied when a window is turned.
 
     `turn` contains the original index of each tap in the turned 3 × 3 window. A rotation by 90° changes both signs.
     Mirroring changes the sign of b, and transposition changes the sign of a.

@@ -88,7 +88,7 @@ LAYERS = {
     "d is the difference between the blocks after the last and before the first step, interpolated bilinearly from the "
     "four blocks nearest to the pixel. Outside the frame, the difference is 0",
     "clipping": "if a layer has it, the last step is output = (1 - w) * output + q. w and q are computed for blocks of "
-    "clip_sides pixels, of which the last are moved into the frame. They are interpolated bilinearly, at the middle of "
+    "clip_sides pixels. The last blocks are moved into the frame. w and q are interpolated bilinearly, at the middle of "
     "the group of 2 x 2 pixels that contains the pixel. w = f * S(max s; kept); q = w * sum of response[0] * (s - h + g * "
     "white) + f * (A(s) - A(h)); A(s) = sum over channels c of S(s[c]; begins) * response[1 + c] * s; h = min(g * white, "
     "1); g = m + min S(s; begins) * (max (s / white) - m); m = mean of s / white, weighted by max(1 - S(s; begins), "

@@ -97,7 +97,7 @@ def through(matrix: Array, points: Array) -> Array:
     Parameters
     ----------
     matrix : ndarray, (3, 3) or (grid, 3, 3)
-        One homography, or several homographies, each of which transforms all points.
+        One homography, or several. Each of several homographies transforms all points.
     points : ndarray, (…, 2) or (point, 2)
         x and y of the points. For several homographies, the shape must be (point, 2).
 

@@ -136,7 +136,7 @@ class RawFrame:
 
 @functools.lru_cache(maxsize=8)
 def _level_table(black_level: float, new_black_level: float, scale: float, top: int) -> NDArray[np.uint16] | None:
-    """Return a look-up table from 16-bit values to values of at most `top`, or None if no value up to `top` would change."""
+    """Return a look-up table that rescales 16-bit values. Return None if it would not change any value up to `top`."""
     every = np.arange(1 << 16)
     table = np.clip(np.rint((every - black_level) * scale + new_black_level), 0, top).astype(np.uint16)
     return None if np.array_equal(table[: top + 1], every[: top + 1]) else table

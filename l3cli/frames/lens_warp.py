@@ -23,7 +23,7 @@ Terms = tuple[float, float, float, float, float, float]  # k0, k1, k2, k3, t0, t
 UNCHANGED: Terms = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 RED, GREEN, BLUE = range(3)
 STRIP_PIXELS = 1 << 20  # number of pixels resampled at a time, to limit memory use
-INVERSE_STEPS = 12  # number of fixed-point iterations in `corrected_places`, each of which at least halves the error
+INVERSE_STEPS = 12  # number of fixed-point iterations in `corrected_places`; each iteration at least halves the error
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ ROUNDING = 1e-5  # relative tolerance for no-data values, which may be rounded i
 
 
 def missing(values: NDArray, mark: float, good: NDArray[np.bool_] | None = None) -> NDArray[np.bool_] | None:
-    """Return a mask, (row, col), of the pixels without data in at least one good band, or None if there are none.
+    """Return a mask of the pixels without data in at least one good band, or None if all pixels have data.
 
     Parameters
     ----------

@@ -135,7 +135,7 @@ class Rotator:
 
 @dataclass(frozen=True)
 class SweepTable:
-    """Mean signals of the camera and of a photodiode next to it, with and without light, at each wavelength of a sweep."""
+    """Mean signals of a camera, and of a photodiode next to it, with and without light in a wavelength sweep."""
 
     wavelength: NDArray[np.float64]  # (wavelength) nm; wavelength setting of the monochromator
     light: NDArray[np.float64]  # (channel, wavelength) DN; signal with light
@@ -299,4 +299,4 @@ class RawFile:
     pattern: NDArray[np.int64] | None  # (row, col) colour codes of the CFA
     black_level: float | None  # DN
     white_level: float | None  # DN
-    count: int = 1  # number of frames in the file, of which `values` is the first
+    count: int = 1  # number of frames in the file; `values` is the first frame

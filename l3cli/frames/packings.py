@@ -107,7 +107,8 @@ def _gige(bits: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
     """Return the layout of a GigE Vision packing: bytes per group, and pieces of each pixel.
 
     A group contains two pixels in three bytes. The first and the last byte contain the upper 8 bits of the first and of the
-    second pixel. The middle byte contains the lower bits of the first pixel from bit 0, and those of the second from bit 4.
+    second pixel. The middle byte contains the lower bits of both pixels: the first pixel's from bit 0, the second's from bit
+    4.
     """
     low = bits - 8
     return 3, ((Piece(0, 0, 8, low), Piece(1, 0, low, 0)), (Piece(2, 0, 8, low), Piece(1, 4, low, 0)))

@@ -149,7 +149,7 @@ def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
     CFA:
 
     1. differences at single pixels, such as autofocus pixels
-    2. differences not much larger than those for a period that no CFA has
+    2. differences not much larger than the differences for a period that no CFA has
     3. stripes and checkerboards in the scene, which change all channels by the same factor
 
     Returns
@@ -486,7 +486,7 @@ def roughness(values: NDArray[np.uint16], bits: int, cfa: NDArray[np.uint8]) -> 
 
 
 def _nearest_of_channel(cfa: NDArray[np.uint8], row: int, col: int) -> Phase:
-    """Return the offset (down, right) from a site to the nearest site of its channel, to the right or in a lower row."""
+    """Return the offset (down, right) to the nearest site of the same channel, to the right or in a lower row."""
     rows, cols = cfa.shape
     steps = [
         (down, right)

@@ -136,7 +136,7 @@ def colour_corrected(
     """Multiply raw signals above black by 1 + `colour` · 2^-FRACTION.
 
     `values` and `colour` have the same shape. Clipped pixels are unchanged, and no other pixel becomes clipped. The results
-    are identical to those from opencl/common/shading.cl.
+    are identical to the results of opencl/common/shading.cl.
     """
     black, clipped = round(black_level), clipped_from(black_level, white_level)
     wide = values.astype(np.int32)

@@ -132,7 +132,7 @@ def srgb_codes(linear: Array, bits: int = 8) -> NDArray[Any]:
 
 @dataclass(frozen=True)
 class Tone:
-    """A tone curve x (a x + b) / (x (c x + d) + e) for linear values x, limited to 0…1."""
+    """Tone curve x (a x + b) / (x (c x + d) + e) for linear values x. The result is limited to 0…1."""
 
     a: float
     b: float

@@ -66,7 +66,7 @@ def known_mean(values: Sequence[float | None]) -> float | None:
 
 
 def sign(figure: str) -> float:
-    """Return 1 if larger values of a metric are better, and −1 if smaller values are better or the metric is unknown."""
+    """Return 1 if larger values of a metric are better, otherwise −1. Unknown metrics have the sign −1."""
     known = FIGURES.get(figure)
     return 1.0 if known and known.more_is_better else -1.0
 

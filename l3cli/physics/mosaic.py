@@ -37,7 +37,7 @@ def _near(pattern: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
 
 
 def least_period(pattern: NDArray[Any]) -> NDArray[Any]:
-    """Return the smallest rectangle, starting at pattern[0, 0], of which the pattern (row, col) is a repetition."""
+    """Return the smallest rectangle, starting at pattern[0, 0], that reproduces the pattern (row, col) if it is repeated."""
     lengths = []
     for axis, length in enumerate(pattern.shape):
         periods = (each for each in range(1, length + 1) if length % each == 0)

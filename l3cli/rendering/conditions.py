@@ -277,7 +277,7 @@ def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
     """Return a layer in which unclipped classes use the transforms of other levels.
 
     This is possible because transforms of unclipped classes have no intercept. `place` contains, for each level of the first
-    layer, the index of the level whose transforms are used. Fractional indices interpolate between two levels. `sites` is
+    layer, the index of the level that provides the transforms. Fractional indices interpolate between levels. `sites` is
     the number of CFA sites.
     """
     rule, first = layer.rule, isinstance(layer, MosaicLayer)

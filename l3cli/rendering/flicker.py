@@ -55,7 +55,7 @@ class BrightnessRatio:
         before, self._before = self._before, now
         if before is None or before.shape != now.shape:
             return 0.0
-        usable = np.minimum(now, before) * frame.gain > MIN_SIGNAL  # false for clipped patches, whose brightness is NaN
+        usable = np.minimum(now, before) * frame.gain > MIN_SIGNAL  # false for clipped patches (NaN)
         if usable.sum() < MIN_PATCHES:
             return 0.0
         return float(np.median(np.log(now[usable] / before[usable])))

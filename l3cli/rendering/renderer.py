@@ -22,7 +22,7 @@ BACKENDS = {
     "reference": "l3cli.rendering.reference:ReferenceRenderer",
 }
 
-MAX_HELD = 16  # maximum number of cached renderers, each of which occupies device memory
+MAX_HELD = 16  # maximum number of cached renderers, which occupy device memory
 
 
 class Renderer(Protocol):

@@ -217,8 +217,8 @@ def region(picture: NDArray[np.floating], of: Uncertainty, polygon: Sequence[tup
     of : Uncertainty
         Uncertainty of the same frame, from `Renderer.uncertainty`.
     polygon : sequence of (float, float)
-        Corners (row, col). Pixel centres have integer coordinates. The region consists of the pixels whose centres are
-        inside the polygon.
+        Corners (row, col). Pixel centres have integer coordinates. A pixel is in the region if its centre is inside the
+        polygon.
 
     Returns
     -------
@@ -251,7 +251,7 @@ def region(picture: NDArray[np.floating], of: Uncertainty, polygon: Sequence[tup
 
 
 def within_polygon(shape: tuple[int, ...], polygon: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
-    """Return a mask (row, col) of the pixels whose centres are inside a polygon, by the even-odd rule.
+    """Return a mask (row, col) of the pixels with centres inside a polygon, by the even-odd rule.
 
     Parameters
     ----------

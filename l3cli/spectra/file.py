@@ -140,7 +140,7 @@ def _split(line: str, separator: str | None) -> Cells:
 
 
 def _without_last(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
-    """Remove the last cell of each row if all rows of numbers end with a separator, so that this cell is empty."""
+    """Remove the empty last column if all rows of numbers end with a separator."""
     rows = [row for row in cells if _is_number(row[0], decimal_comma)]
     if not rows or any(len(row) < 3 or row[-1] for row in rows):
         return cells

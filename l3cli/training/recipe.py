@@ -201,7 +201,7 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     if learning.darkest:
         return msgspec.structs.replace(recipe, learning=learning)
     constant, linear, quadratic = camera.noise_terms(channel=np.arange(len(camera.channels)))
-    power = max(1 - quadratic, 1e-6)  # coefficient of s² in s² = constant + linear s + quadratic s²
+    power = max(1 - quadratic, 1e-6)  # solve s² = constant + linear s + quadratic s² for the signal s
     signals = (linear + np.sqrt(linear**2 + 4 * power * constant)) / (2 * power)
     signal = float(np.min(signals / sensitivity)) * mean
     level = max(signal / (camera.white_level - camera.black_level), recipe.classes.lowest_level * mean)

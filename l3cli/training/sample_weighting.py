@@ -141,7 +141,7 @@ def sample_weighting(table: TransformTable, site: int, power: float) -> SampleWe
 
 
 def lab_error(error: Floats, target: Floats, level: Floats, white: NDArray[np.floating]) -> Floats:
-    """Convert errors in X, Y and Z to squared colour errors like ΔE², but with less weight for chroma than in CIELAB.
+    """Convert errors in X, Y and Z to squared CIELAB errors, with a reduced weight of chroma.
 
     Parameters
     ----------

@@ -467,9 +467,9 @@ def _equations(recipe: LearningRecipe, goal: Goal, rule: ClassRule) -> list[Outp
 
 
 def _opponent_basis(goal: Goal) -> Array:
-    """Return the matrix that converts X, Y, Z to X − X_w Y, Y, Z − Z_w Y, and leaves all other outputs unchanged.
+    """Return the matrix that converts X, Y, Z to the opponent components X − X_w Y, Y, Z − Z_w Y.
 
-    For greys under the training illuminant, the first and third components are zero.
+    For greys under the training illuminant, the first and third components are zero. All other outputs are unchanged.
     """
     basis = np.eye(len(goal.outputs))
     if goal.outputs[:3] == XYZ:

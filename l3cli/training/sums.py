@@ -39,7 +39,7 @@ def pairs(width: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def width_of(packed: Array) -> int:
-    """Return the number of columns of moment matrices, of which the last axis of `packed` contains the upper triangles."""
+    """Return the number of columns of moment matrices. The last axis of `packed` contains their upper triangles."""
     return (math.isqrt(8 * packed.shape[-1] + 1) - 1) // 2
 
 

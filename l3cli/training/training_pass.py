@@ -89,7 +89,7 @@ def at_noise(pass_: TrainingPass, noise: NoiseScale, classes: ClassRecipe) -> Tr
     noise : NoiseScale
         Noise of the frames, relative to the camera model.
     classes : ClassRecipe
-        Class recipe of the table. All class edges that depend on noise are computed from it again.
+        Class recipe of the table, for recomputing the class edges that depend on noise.
 
     Returns
     -------

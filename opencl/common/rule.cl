@@ -4,7 +4,7 @@
 // CFA phase of padded row or column p. This is row or column p - RADIUS of the frame, which begins at the phase `start`.
 #define PADDED_PHASE(p, start, period) (((p) + (start) + ((period) - 1) * RADIUS) % (period))
 
-// Constants of the features, in the order of l3cli/classes/plane_kernel.py: as parameters of a function, and as arguments of a call.
+// Constants of the features, in the order of l3cli/classes/plane_kernel.py. The first macro declares parameters, the second one passes arguments.
 #define BASIC_CONSTANTS LEVEL_CONSTANTS, CONTRAST_CONSTANTS, SATURATION_CONSTANTS, CHROMA_CONSTANTS
 #define BASIC level_tops, contrast_edges, case_of_code, chroma_weights
 #ifdef EACH_WINDOW

@@ -109,7 +109,7 @@ INLINE void look(Evidence *e, const Columns *c, const Products *middle, uints tu
 // passes a test, the leaves below the test's first branch are excluded. The pixel's leaf is the first one that remains. Parts are found in the
 // same way, 32 at a time.
 //
-// `tests` contains these arrays in turn:
+// `tests` contains these arrays, one after another:
 // 1. the index of the first test of each group of 32 parts
 // 2. the index of the first test within each part, and the end of the last test
 // 3. the first leaf of each part

@@ -266,9 +266,10 @@ def find_corners(mosaic: Array, period: tuple[int, int]) -> Corners | None:
 def corners_of_series(
     groups: Sequence[Group], scale: Scale, period: tuple[int, int], read: Callable[[str], Array]
 ) -> Corners | None:
-    """Find the corners of a chart that does not move during a series of captures, or return None if there is no chart.
+    """Find the corners of a chart that does not move during a series of captures.
 
-    The corners are the median over several captures. `read` returns the raw values of the frame at a path.
+    The corners are the median over several captures. `read` returns the raw values of the frame at a path. If there is no
+    chart, the result is None.
     """
     lit = [group for group in groups if scale.signal(group).max() > DIM * scale.range]
     lit.sort(key=lambda group: (scale.clipped(group), -float(scale.signal(group).max())))
@@ -375,7 +376,7 @@ def _in_order(
 def _steps_in_order(steps: Sequence[Group], scale: Scale) -> list[int]:
     """Return each capture's monochromator step, counted from 0.
 
-    An unclipped capture after a clipped capture belongs to the same step, which was repeated with a shorter exposure.
+    An unclipped capture after a clipped capture is a repetition of the same step with a shorter exposure.
     """
     forward = (not scale.clipped(step) or scale.clipped(before) for before, step in itertools.pairwise(steps))
     return list(itertools.accumulate(forward, initial=0))

@@ -149,8 +149,8 @@ def smooth(channels: int) -> Prior:
 def _covariance(modes: Array) -> Array:
     """Return the covariance of measured cameras' curves: (channel, wavelength, channel, wavelength).
 
-    It is the weighted mean of two covariances: that of the principal components `modes`, (mode, channel, wavelength), and
-    that of smooth deviations, which are independent in each channel.
+    It is the weighted mean of two covariances. One is the covariance of the principal components `modes`, (mode, channel,
+    wavelength). The other is the covariance of smooth deviations, which are independent in each channel.
     """
     _, count, size = modes.shape
     flat = modes.reshape(len(modes), -1)
@@ -492,7 +492,7 @@ def unsure_of_light(
     shots : sequence of Shot
         All shots.
     index : int
-        Index of the shot whose illuminant was guessed.
+        Index of the shot with the guessed illuminant.
     prior : Prior
         Prior for the camera.
     likely : mapping of str to float

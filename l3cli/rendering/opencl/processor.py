@@ -2,8 +2,8 @@
 
 PoCL gets the processor name from its compiler, LLVM 14 from 2022. LLVM calls newer processors "generic", but does not accept
 this name as a target, so no kernel can be compiled (https://github.com/pocl/pocl/issues/1049). PoCL has no option to change
-the name. This module therefore overwrites the name in PoCL's device structure. The new name is that of an older processor
-that LLVM supports, and with instruction sets that the actual processor also has (docs/limits.md).
+the name. This module therefore overwrites the name in PoCL's device structure with the name of an older processor. LLVM
+supports this processor, and the actual processor has all of its instruction sets (docs/limits.md).
 """
 
 import ctypes

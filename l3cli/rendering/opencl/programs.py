@@ -123,7 +123,7 @@ class Programs:
         return self._transforms(self._last, ending, joined)
 
     def first_outputs(self) -> Any:
-        """Return the kernel that computes the first layer's outputs, for tables whose last layer corrects them."""
+        """Return the kernel that computes the first layer's outputs, for tables in which the last layer corrects them."""
         return self._transforms(0, layout.OUTPUTS_AS_THEY_ARE, joined=False)
 
     def planes(self, layer: int, joined: bool = False) -> Any:

@@ -329,7 +329,7 @@ class OpenCLRenderer:
         matrix : ndarray, (3, 3), optional
             Matrix from outputs to the linear values of a picture.
         labels : dict of int to ndarray, (row, col)
-            Layers whose class maps are requested, and the arrays that receive them.
+            Arrays that receive the class maps, by layer. Other layers' class maps are not returned.
         borrow : bool
             Whether the caller leaves the frame unchanged until all commands have finished. Otherwise its values are copied.
 
@@ -493,7 +493,7 @@ class OpenCLRenderer:
         return track.result
 
     def _run(self, kernel: Any, track: Track, shape: tuple[int, int], *arguments: Any, cut: layout.Cut | None = None) -> Any:
-        """Enqueue a kernel for all pixels of an area. Its size (rows, columns) is appended to the arguments."""
+        """Enqueue a kernel for all pixels of an area. The area's size (rows, columns) is appended to the arguments."""
         rows, columns = shape
         cut = cut or self._cut
         grid = (-(-columns // cut.tile) * cut.group[0], -(-rows // cut.band) * cut.group[1])

@@ -53,9 +53,9 @@ class Chunks:
 
 
 def chunks_of(place: int) -> range:
-    """Return the numbers of the chunks whose filters read the frame with index `place`.
+    """Return the numbers of the chunks for which the frame with index `place` must be read.
 
-    A frame in the lead-in of the next chunk is read by two filters, and any other frame by one.
+    A frame in the lead-in of the next chunk is needed for two chunks, and any other frame for one.
     """
     return range(place // CHUNK, (place + LEAD) // CHUNK + 1)
 

@@ -147,7 +147,7 @@ def _shading_corrected(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
 
 
 def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]) -> tuple[NDArray[np.float64], str]:
-    """Return each channel's mean signal in an area, in DN, and the reason why the area cannot be used ("" if it can).
+    """Return each channel's mean signal in an area, in DN, and why the area cannot be used ("" if it can).
 
     The reason continues a sentence that starts with the area's name: "is clipped in 12% of its pixels; …".
     """
@@ -380,9 +380,9 @@ class Whites:
         return SceneWhite(self._balance(camera.signal_weights @ light.radiance, light), light, True)
 
     def of_xyz(self, white: Array) -> SceneWhite:
-        """Return the white point of a scene in which a white object has the given XYZ, with a white balance without gains.
+        """Return the white point of a scene in which a white object has the given XYZ.
 
-        The white balance only adapts the outputs.
+        Its white balance has no gains, and only adapts the outputs.
         """
         return SceneWhite(plain_balance(white, len(self.table.channels)), light_of(white), False)
 

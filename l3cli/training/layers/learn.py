@@ -222,8 +222,8 @@ class _Parents:
 def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goal: LayerGoal) -> tuple[Array, Array] | None:
     """Add the statistics of other classes to a class's moments and noise, or return None if its parent has no samples.
 
-    The parent's pseudo-samples are always added. If an unsaturated class has samples, those of classes with neighbouring
-    levels or strengths are also added.
+    The parent's pseudo-samples are always added. If the class is unsaturated and has samples, the samples of classes with
+    neighbouring levels or strengths are also added.
     """
     _, level, kind = rule.split(index)
     case = int(rule.case(kind))

@@ -2,7 +2,7 @@
 
 The rule classifies pixels by structure (docs/method.md#structure) or by a decision tree (docs/method.md#trees).
 
-A tree is grown from a random subset of the samples. Each step splits the leaf whose split reduces the squared error most. To
+A tree is grown from a random subset of the samples. Each step makes the split that reduces the squared error most. To
 evaluate a split, l3 fits one filter to the samples on each side of the threshold. Two filters always fit the samples better
 than one, because they have twice as many taps. l3 therefore subtracts the error reduction expected from a random split, and
 splits the leaf only if the remaining reduction is statistically significant. All sites share one tree, but each site has its
@@ -390,7 +390,7 @@ def sample_tree(
 
 
 def _split_side(layer: LayerPass) -> int:
-    """Return the side, in pixels, of the windows for evaluating splits."""
+    """Return the side, in pixels, of the windows in which splits are evaluated."""
     return min(layer.recipe.side, SPLIT_SIDE_PIXELS) if layer.learning.noise == "none" else layer.recipe.side
 
 
@@ -437,7 +437,7 @@ def tree_rule(
 
 
 def _perceptual_basis(layer: LayerPass) -> NDArray[np.float32]:
-    """Return a matrix that converts errors in X, Y and Z to errors in a*, L* and b* for colours near white: (output, 3).
+    """Return a matrix (output, 3) that converts errors in X, Y and Z to errors in a*, L* and b* near white.
 
     If the outputs are not X, Y and Z, return the identity matrix.
     """
