@@ -25,6 +25,7 @@ from l3cli.rendering.reference import (
     CHROMA_NEIGHBOURS,
     FAR_CHROMA_NEIGHBOURS,
     FAR_LIKENESS,
+    MAX_CONTRAST,
     SMOOTHING_DARKEST,
     raising_constants,
     white_scale,
@@ -131,8 +132,10 @@ SPECTRA_DOC = (
 
 CHROMA_DOC = (
     "last step, which is also applied to test_outputs. p is a pixel, and q are its neighbours at the offsets `neighbours` "
-    "and `far_neighbours` (row, column), mirrored at the borders. With e_q = X_q Y_p - X_p Y_q, and f_q the same for Z, the "
-    "weights are w_q = max(0, 1 - ((Y_q - Y_p) / (reach * Y_p))^2 - ((e_q / X_w)^2 + (f_q / Z_w)^2) / (l_q * Y_p^2)^2)^2, "
+    "and `far_neighbours` (row, column), mirrored at the borders. With e_q = X_q Y_p - X_p Y_q, f_q the same for Z, t_p = "
+    "Y_p + min(mean of |Y_q - Y_p| over `neighbours`, max_contrast * Y_p), and r_q = reach * t_p if Y_q > Y_p, otherwise "
+    "min(reach * t_p, Y_p), the weights are "
+    "w_q = max(0, 1 - ((Y_q - Y_p) / r_q)^2 - ((e_q / X_w)^2 + (f_q / Z_w)^2) / (l_q * Y_p * t_p)^2)^2, "
     "where l_q = likeness for neighbours, l_q = far_likeness * likeness for far neighbours, and X_w and Z_w are those of "
     "white_point with Y_w = 1. X_p <- X_p + sum(w_q e_q) / (Y_p + sum(w_q Y_q)) if "
     "Y_p > smoothing_darkest, and Z_p the same with f_q. Y does not change"
@@ -168,6 +171,7 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
         content["spectra"] = {"doc": SPECTRA_DOC, **arrays.add_fields("spectra/", table.spectra)}
         content["constants"]["smoothing_darkest"] = SMOOTHING_DARKEST
     if table.chroma_smoothing:
+        content["constants"]["max_contrast"] = MAX_CONTRAST
         keys = arrays.add_fields("chroma_smoothing/", table.chroma_smoothing)
         content["chroma_smoothing"] = {
             "doc": CHROMA_DOC,

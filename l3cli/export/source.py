@@ -45,7 +45,7 @@ from l3cli.physics.spaces import SRGB, Curve
 from l3cli.rendering.display import linear_matrix, require_known_layers, shown_adaptation
 from l3cli.rendering.exposure import NOISE_WHERE_CLIPPED
 from l3cli.rendering.opencl.layout import source_folder
-from l3cli.rendering.reference import SMOOTHING_DARKEST, raising_constants
+from l3cli.rendering.reference import MAX_CONTRAST, SMOOTHING_DARKEST, raising_constants
 from l3cli.rendering.white.scene_white import WhiteBalance, Whites
 from l3cli.rendering.white.source import usual_balance
 from l3cli.system.text import printable
@@ -227,6 +227,7 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
         smoothing, (white_x, white_z) = table.chroma_smoothing, table.white_point[::2] / table.white_point[1]
         factors = {"LUMINANCE": smoothing.reach, "X": smoothing.likeness * white_x, "Z": smoothing.likeness * white_z}
         values |= {f"BY_{name}": _float(1 / limit**2) for name, limit in factors.items()}
+        values["MAX_CONTRAST"] = _float(MAX_CONTRAST)
         values["DARKEST"] = _float(SMOOTHING_DARKEST * (2 ** output_fraction(table) if words == "int16" else 1))
         values |= {
             f"{name.upper()}": _float(at) if isinstance(at, float) else at for name, at in raising_constants(table).items()
@@ -253,7 +254,7 @@ def _test_steps(table: TransformTable) -> int:
     For tables that smooth chroma, the limit is higher, because the smoothing weights amplify rounding errors.
     """
     worst = short_cost(table, short_words(table))[1]
-    return max(4, math.ceil(3 * worst)) if table.chroma_smoothing else max(1, math.ceil(worst))
+    return max(6, math.ceil(3 * worst)) if table.chroma_smoothing else max(1, math.ceil(worst))
 
 
 def _corrects(table: TransformTable) -> bool:
@@ -404,7 +405,7 @@ def _readme(table: TransformTable, vector: Vector, arrays: list[Array], short: S
     if table.chroma_smoothing:
         parts += ["readme_smoothed_chroma.md"]
         white = table.white_point / table.white_point[1]
-        known |= {"white_x": f"{white[0]:.6g}", "white_z": f"{white[2]:.6g}"}
+        known |= {"white_x": f"{white[0]:.6g}", "white_z": f"{white[2]:.6g}", "max_contrast": f"{MAX_CONTRAST:g}"}
         known |= {f"chroma_{name}": f"{of:g}" for name, of in vars(table.chroma_smoothing).items()}
         if table.white_signals is not None:
             parts += ["readme_raised.md"]

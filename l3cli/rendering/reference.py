@@ -25,6 +25,7 @@ CHROMA_NEIGHBOURS = ((-1, -1), (-1, 1), (1, -1), (1, 1), (-4, 0), (4, 0), (0, -4
 FAR_CHROMA_NEIGHBOURS = ((-5, -5), (-5, 5), (5, -5), (5, 5), (-8, 0), (8, 0), (0, -8), (0, 8))
 FAR_LIKENESS = 0.5  # far neighbours show other surfaces more often, so their chroma must be closer by this factor
 CHROMA_REACH = 8  # largest offset in pixels
+MAX_CONTRAST = 4.0  # limit of the contrast around a pixel, relative to its luminance; dark pixels next to lights would blur
 
 # A pixel's luminance must not fall below the smallest nearby raw value (relative to white), multiplied by one of these
 # factors. The first factor applies to values above the black level, the second factor to values below it. The second factor
@@ -409,12 +410,16 @@ def smoothed_chroma(
 
         e_q = X_q Y_p − X_p Y_q
         f_q = Z_q Y_p − Z_p Y_q
-        w_q = max(0, 1 − ((Y_q − Y_p) / (reach · Y_p))² − ((e_q / X_w)² + (f_q / Z_w)²) / (l_q · Y_p²)²)²
+        t_p = Y_p + min(mean of |Y_q − Y_p| over CHROMA_NEIGHBOURS, MAX_CONTRAST · Y_p)
+        r_q = reach · t_p if Y_q > Y_p, otherwise min(reach · t_p, Y_p)
+        w_q = max(0, 1 − ((Y_q − Y_p) / r_q)² − ((e_q / X_w)² + (f_q / Z_w)²) / (l_q · Y_p · t_p)²)²
         X_p ← X_p + Σ w_q e_q / (Y_p + Σ w_q Y_q)
 
     l_q is `likeness` for CHROMA_NEIGHBOURS, and FAR_LIKENESS · `likeness` for FAR_CHROMA_NEIGHBOURS. Z changes in the same
-    way. The new X_p / Y_p is the weighted mean of X over p and its neighbours, divided by the weighted mean of Y. Areas of
-    constant chromaticity do not change in any bit. At the borders, planes are mirrored about the outermost pixels.
+    way. The new X_p / Y_p is the weighted mean of X over p and its neighbours, divided by the weighted mean of Y. In t_p,
+    the contrast around the pixel is added to its luminance, because the false colours of aliasing are proportional to the
+    contrast. Neighbours without luminance have no weight. Areas of constant chromaticity do not change in any bit. At the
+    borders, planes are mirrored about the outermost pixels.
 
     If Y_p is below `least`, it is raised to `least`. X_p and Z_p then move towards the chroma of the diagonal neighbours, by
     at most RAISED_CHROMA times the change in Y_p.
@@ -437,15 +442,21 @@ def smoothed_chroma(
     luminance, chroma = planes[1], planes[::2]
     bright = luminance > SMOOTHING_DARKEST
     safe = np.where(bright, luminance, 1.0)
-    scale = (white[::2] / white[1])[:, None, None] * smoothing.likeness * np.square(safe)
     padded, (rows, cols) = mirrored(planes, CHROMA_REACH), luminance.shape
+    offsets = CHROMA_NEIGHBOURS + FAR_CHROMA_NEIGHBOURS
+    places = ((CHROMA_REACH + down, CHROMA_REACH + right) for down, right in offsets)
+    neighbours = [padded[:, first : first + rows, left : left + cols] for first, left in places]
+    contrast = np.mean([np.abs(there[1] - safe) for there in neighbours[: len(CHROMA_NEIGHBOURS)]], axis=0)
+    tolerance = safe + np.minimum(contrast, MAX_CONTRAST * safe)
+    brighter = smoothing.reach * tolerance
+    darker = np.minimum(brighter, safe)
+    scale = (white[::2] / white[1])[:, None, None] * smoothing.likeness * safe * tolerance
     total, change, diagonal = safe.copy(), np.zeros_like(chroma), np.zeros_like(planes)
-    for down, right in CHROMA_NEIGHBOURS + FAR_CHROMA_NEIGHBOURS:
-        first, left = CHROMA_REACH + down, CHROMA_REACH + right
-        there = padded[:, first : first + rows, left : left + cols]
+    for (down, right), there in zip(offsets, neighbours, strict=True):
         unlike = there[::2] * safe - chroma * there[1]
         limit = scale if (down, right) in CHROMA_NEIGHBOURS else FAR_LIKENESS * scale
-        square = np.square((there[1] - safe) / (smoothing.reach * safe)) + np.square(unlike / limit).sum(axis=0)
+        difference = (there[1] - safe) / np.where(there[1] > safe, brighter, darker)
+        square = np.square(difference) + np.square(unlike / limit).sum(axis=0)
         weight = np.maximum(1 - square, 0) ** 2
         total += weight * there[1]
         change += weight * unlike

@@ -5,14 +5,25 @@
 // A pixel, scaled so that few operations are needed to compute the weight of a neighbour. The weight is zero if the sum of the squared scaled
 // differences in luminance, X and Z is at least 1.
 typedef struct {
-    floats luminance, of_luminance;                        // scaled luminance, and its scale
+    floats luminance, of_brighter, of_darker;              // luminance, and scales of its differences
+    floats tolerance;                                      // luminance plus contrast, to which the differences are relative
     floats x, z, luminance_of_x, luminance_of_z;           // X, Z and luminance, times the scales of X and Z
 } Scaled;
 
-INLINE Scaled scaled_pixel(const floats *own, float by_luminance, float by_x, float by_z) {
-    const floats above = own[1] > DARKEST ? own[1] : (floats)DARKEST, inverse = 1.0f / above, square = inverse * inverse;
-    const floats of_luminance = by_luminance * inverse, of_x = by_x * square, of_z = by_z * square;
-    return (Scaled){own[1] * of_luminance, of_luminance, own[0] * of_x, own[2] * of_z, own[1] * of_x, own[1] * of_z};
+// `differences` is the sum of the absolute differences between the luminance of the pixel and of its near neighbours.
+INLINE Scaled scaled_pixel(const floats *own, floats differences, float by_luminance, float by_x, float by_z) {
+    const floats above = own[1] > DARKEST ? own[1] : (floats)DARKEST, most = MAX_CONTRAST * above;
+    const floats contrast = differences * (1.0f / NEAR_NEIGHBOURS);
+    const floats tolerance = above + (contrast < most ? contrast : most), inverse = 1.0f / tolerance;
+    const floats of_brighter = by_luminance * inverse, of_black = 1.0f / above;
+    const floats square = inverse * of_black, of_x = by_x * square, of_z = by_z * square;
+    const floats of_darker = of_brighter > of_black ? of_brighter : of_black;
+    return (Scaled){own[1], of_brighter, of_darker, tolerance, own[0] * of_x, own[2] * of_z, own[1] * of_x, own[1] * of_z};
+}
+
+INLINE floats difference_between(floats luminance, floats other) {
+    const floats difference = luminance - other;
+    return SAME_BITS(SAME_BITS(difference, ints) & 0x7fffffff, floats);
 }
 
 // Factor for the squared difference in chroma of neighbour `n`.
@@ -21,7 +32,7 @@ INLINE Scaled scaled_pixel(const floats *own, float by_luminance, float by_x, fl
 // Adds a neighbour with the XYZ `there` to the sums. sums[0] and sums[2] are the scaled changes in X and Z, and sums[1] is their divisor.
 // `unlike` is the factor for the squared difference in chroma.
 INLINE void add_neighbour(floats *sums, Scaled own, const floats *there, float unlike) {
-    const floats brighter = there[1] * own.of_luminance - own.luminance;
+    const floats brighter = (there[1] - own.luminance) * (there[1] > own.luminance ? own.of_brighter : own.of_darker);
     const floats x = there[0] * own.luminance_of_x - own.x * there[1], z = there[2] * own.luminance_of_z - own.z * there[1];
     const floats left = 1.0f - brighter * brighter - unlike * (x * x + z * z);
     const floats positive = left > 0.0f ? left : (floats)0.0f, weight = positive * positive;
@@ -31,9 +42,9 @@ INLINE void add_neighbour(floats *sums, Scaled own, const floats *there, float u
 }
 
 // Applies the changes to `own`, the pixel's XYZ. `by_x` and `by_z` are the arguments of `scaled_pixel`.
-INLINE void change_chroma(floats *own, const floats *sums, float by_x, float by_z) {
+INLINE void change_chroma(floats *own, Scaled scaled, const floats *sums, float by_x, float by_z) {
     const floats bright = own[1] > DARKEST ? own[1] : (floats)0.0f, divisor = own[1] > DARKEST ? own[1] + sums[1] : (floats)1.0f;
-    const floats share = bright * bright / divisor;
+    const floats share = bright * scaled.tolerance / divisor;
     own[0] += sums[0] * share * (1.0f / by_x);
     own[2] += sums[2] * share * (1.0f / by_z);
 }

@@ -2,24 +2,32 @@
 //
 // A work-item processes a tile of TILE columns and BAND rows.
 
-// Reads X, Y and Z of LANES pixels from column x. Unless `inside` is set, columns outside the frame are mirrored.
+// Reads LANES values of a row from column x. Unless `inside` is set, columns outside the frame are mirrored.
+INLINE floats read_one(__global const float *row, int x, int columns, bool inside) {
+    return inside ? LOAD_GLOBAL(floats, row + x) : read_across(row, x, columns);
+}
+
+// Reads X, Y and Z of LANES pixels.
 INLINE void read_three(floats *value, __global const float *row, size_t stride, int x, int columns, bool inside) {
     #pragma unroll
-    for (int o = 0; o < 3; o++) value[o] = inside ? LOAD_GLOBAL(floats, row + o * stride + x) : read_across(row + o * stride, x, columns);
+    for (int o = 0; o < 3; o++) value[o] = read_one(row + o * stride, x, columns, inside);
 }
 
 INLINE void smooth_pixels(floats *own, __global const float *const *row, size_t stride, int x, int columns, bool inside,
                           float by_luminance, float by_x, float by_z) {
-    floats sums[3] = {0.0f, 0.0f, 0.0f}, there[3];
+    floats sums[3] = {0.0f, 0.0f, 0.0f}, there[3], differences = 0.0f;
     const int right[] = {CHROMA_COLUMNS};
     read_three(own, row[NEIGHBOURS], stride, x, columns, inside);
-    const Scaled scaled = scaled_pixel(own, by_luminance, by_x, by_z);
+    #pragma unroll
+    for (int n = 0; n < NEAR_NEIGHBOURS; n++)
+        differences += difference_between(own[1], read_one(row[n] + stride, x + right[n], columns, inside));
+    const Scaled scaled = scaled_pixel(own, differences, by_luminance, by_x, by_z);
     #pragma unroll
     for (int n = 0; n < NEIGHBOURS; n++) {
         read_three(there, row[n], stride, x + right[n], columns, inside);
         add_neighbour(sums, scaled, there, UNLIKE(n));
     }
-    change_chroma(own, sums, by_x, by_z);
+    change_chroma(own, scaled, sums, by_x, by_z);
 }
 
 #ifdef LEAST_REACH

@@ -18,15 +18,20 @@ void smooth_chroma(__global const float *restrict made,    // (output, row of `m
     const size_t pixel = (size_t)(first + y - top) * columns + x;
     float own[3], sums[3] = {0.0f, 0.0f, 0.0f}, diagonal[3] = {0.0f, 0.0f, 0.0f}, there[3];
     for (int o = 0; o < 3; o++) own[o] = made[o * stride + pixel];
-    const Scaled scaled = scaled_pixel(own, by_luminance, by_x, by_z);
     const int down[] = {CHROMA_ROWS}, right[] = {CHROMA_COLUMNS};
+    size_t place[NEIGHBOURS];
+    float differences = 0.0f;
     for (int n = 0; n < NEIGHBOURS; n++) {
-        const size_t place = (size_t)(mirrored(first + y + down[n], frame_rows) - top) * columns + mirrored(x + right[n], columns);
-        for (int o = 0; o < 3; o++) there[o] = made[o * stride + place];
+        place[n] = (size_t)(mirrored(first + y + down[n], frame_rows) - top) * columns + mirrored(x + right[n], columns);
+        if (n < NEAR_NEIGHBOURS) differences += difference_between(own[1], made[stride + place[n]]);
+    }
+    const Scaled scaled = scaled_pixel(own, differences, by_luminance, by_x, by_z);
+    for (int n = 0; n < NEIGHBOURS; n++) {
+        for (int o = 0; o < 3; o++) there[o] = made[o * stride + place[n]];
         add_neighbour(sums, scaled, there, UNLIKE(n));
         for (int o = 0; o < 3 && n < 4; o++) diagonal[o] += there[o];
     }
-    change_chroma(own, sums, by_x, by_z);
+    change_chroma(own, scaled, sums, by_x, by_z);
 #ifdef LEAST_REACH
     float smallest = INFINITY, factor = 1.0f;
     for (int i = max(first + y - LEAST_REACH, 0); i <= min(first + y + LEAST_REACH, frame_rows - 1); i++)

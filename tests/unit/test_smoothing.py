@@ -198,6 +198,23 @@ def test_vivid_lines_of_one_pixel_keep_their_colour() -> None:
         for across in (slice(15, 16), slice(5, 7)):
             planes[:, :, across] = 0.5 / line[1] * np.array(line)[:, None, None]  # of the same luminance
         assert np.array_equal(smoothed_chroma(planes, CHROMA, WHITE), planes)
+        for luminance, lost in ((0.2, 0.0), (0.35, 0.0), (0.8, 0.2)):  # around the lines, the luminance is 0.5
+            vivid = luminance / line[1] * np.array(line)
+            planes[:, :, 5:7] = planes[:, :, 15:16] = vivid[:, None, None]
+            left = smoothed_chroma(planes, CHROMA, WHITE)[:, :, 15] - vivid[:, None]
+            assert (np.abs(left) <= lost * np.abs(vivid - luminance / 0.5 * FLAT[:, 0, 0])[:, None] + 1e-12).all()
+
+
+def test_false_colours_of_stripes_fall() -> None:
+    """The errors of chroma are as large in the dark stripes as in the bright ones, as those of aliasing are."""
+    luminance = np.where(np.arange(60) % 4 < 2, 0.15, 0.5) * np.ones((60, 1))
+    errors = 0.04 * np.random.default_rng(3).normal(size=(2, 60, 60))
+    planes = WHITE[:, None, None] * luminance
+    false = planes.copy()
+    false[::2] += WHITE[::2, None, None] * errors
+    left = (smoothed_chroma(false, CHROMA, WHITE) - planes)[::2] / WHITE[::2, None, None]
+    for level, most in ((0.15, 0.88), (0.5, 0.46)):  # without the contrast in the tolerance 0.96 and 0.48
+        assert np.std(left[:, luminance == level]) < most * np.std(errors[:, luminance == level])
 
 
 def test_the_dark_stays_finite() -> None:

@@ -45,14 +45,23 @@ static void smooth_row(const Smoothing *s, int row, int rows, int columns, ptrdi
     for (int x = 0; x < columns; x++) {
         const float own_x = (float)own[x], luminance = (float)own[span + x], own_z = (float)own[2 * span + x];
         if (luminance <= L3_DARKEST) continue;
-        const float inverse = 1 / (luminance * luminance), fourth = inverse * inverse;
-        const float by_luminance = L3_BY_LUMINANCE * inverse, by_x = L3_BY_X * fourth, by_z = L3_BY_Z * fourth;
+        float differences = 0;
+        for (int n = 0; n < NEAR_NEIGHBOURS; n++) {
+            const float its = (float)there[n][span + x];
+            differences += luminance > its ? luminance - its : its - luminance;
+        }
+        const float contrast = differences / NEAR_NEIGHBOURS, most = L3_MAX_CONTRAST * luminance;
+        const float inverse = 1 / (luminance + (contrast < most ? contrast : most)), square = inverse * inverse;
+        const float by_black = 1 / (luminance * luminance), fourth = square * by_black;
+        const float by_brighter = L3_BY_LUMINANCE * square, by_darker = by_brighter > by_black ? by_brighter : by_black;
+        const float by_x = L3_BY_X * fourth, by_z = L3_BY_Z * fourth;
         float divisor = luminance, change_x = 0, change_z = 0;
         for (int n = 0; n < NEIGHBOURS; n++) {
             const float its = (float)there[n][span + x], brighter = its - luminance;
             const float unlike_x = (float)there[n][x] * luminance - own_x * its;
             const float unlike_z = (float)there[n][2 * span + x] * luminance - own_z * its;
             const float unlike = unlike_x * unlike_x * by_x + unlike_z * unlike_z * by_z;
+            const float by_luminance = brighter > 0 ? by_brighter : by_darker;
             const float left = 1 - brighter * brighter * by_luminance - (n < NEAR_NEIGHBOURS ? 1.0f : FAR_UNLIKE) * unlike;
             const float positive = left > 0 ? left : 0, weight = positive * positive;
             divisor += weight * its;

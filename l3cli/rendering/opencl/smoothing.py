@@ -17,12 +17,14 @@ from l3cli.rendering.reference import (
     CHROMA_REACH,
     FAR_CHROMA_NEIGHBOURS,
     FAR_LIKENESS,
+    MAX_CONTRAST,
     SMOOTHING_DARKEST,
 )
 
 NEIGHBOURS = CHROMA_NEIGHBOURS + FAR_CHROMA_NEIGHBOURS
 NEIGHBOUR_MACROS: Macros = {
     "CHROMA_REACH": CHROMA_REACH,
+    "MAX_CONTRAST": f"{MAX_CONTRAST!r}f",
     "CHROMA_ROWS": ",".join(str(down) for down, _ in NEIGHBOURS),
     "CHROMA_COLUMNS": ",".join(str(right) for _, right in NEIGHBOURS),
     "NEIGHBOURS": len(NEIGHBOURS),
