@@ -15,7 +15,7 @@ from l3cli.physics.display import XYZ
 from l3cli.physics.spectra import is_spectrum
 from l3cli.physics.stokes import COLOUR_STOKES
 from l3cli.training.highlights import error_of_white
-from l3cli.training.plain_surfaces import PlainSurfaces, plain_surfaces
+from l3cli.training.plain_surfaces import PlainSurfaces, plain_surfaces, polarised_grey
 from l3cli.training.systems import Integers
 
 Array = NDArray[np.float64]
@@ -34,6 +34,7 @@ class Goal:
     white_level: float  # DN
     white_error: Array | float = 0.0  # (channel) relative error of white's signals if they are estimated from patches
     surfaces: PlainSurfaces | None = None  # measured surfaces under the training illuminant, if used for training
+    polarised: Array | None = None  # moments from `polarised_grey` under the training illuminant, if used for training
     filters: tuple[int, ...] = ()  # (channel) first channel with the same filter, or () if no channels share a filter
     sensitivity: Array | None = None  # (channel) relative sensitivity, or None if all channels are equally exposed
     integers: Integers | None = None  # integer formats of the planes, or None if no refinement layer can follow
@@ -82,4 +83,6 @@ def goal_of(head: TrainingSet, white_point: Array, light: LightSpectrum | None) 
     surfaces = None
     if one_light(light) and head.outputs == XYZ:
         surfaces = plain_surfaces(camera, light, head.target_light or light, white_point)
+    if one_light(light) and head.outputs == COLOUR_STOKES:
+        optional["polarised"] = polarised_grey(camera, light, head.outputs)
     return Goal(head.outputs, camera.channels, white_point, signal, *levels, white_error, surfaces, **optional)

@@ -12,6 +12,10 @@ Some chromas occur only in stripes with the period of the CFA. Classes with thes
 If the outputs are the camera's channels, classes for uniform areas are also trained on patches in which each band varies
 independently (docs/method.md#single-bands). The training surfaces have smooth spectra. Without independent bands, a class
 would treat any deviation from a smooth spectrum as noise, and shift the colours of uniform areas with other spectra.
+
+If the outputs are X, Y, Z, S1 and S2, classes for uniform areas are also trained on a polarised grey
+(docs/method.md#polarised-grey). A class trained only on textures would infer the polarisation of one colour from the pixels
+of the others, also in uniform areas.
 """
 
 import functools
@@ -270,10 +274,7 @@ def _moments(signals: Array, outputs: Array, count: Array, window: NDArray[np.in
     weight = count / count.sum() / (signals.mean(axis=1) * outputs[:, 1])
     values = np.concatenate([signals, np.zeros((len(signals), 1)), outputs], axis=1)
     # einsum instead of BLAS, because BLAS results depend on the number of threads
-    products = np.einsum("s,si,sj->ij", weight, values, values, optimize=False)
-    channels = signals.shape[1]
-    columns = np.concatenate([window, np.arange(channels, values.shape[1])])  # all taps of a channel have the same value
-    return np.asarray(products[np.ix_(columns, columns)])
+    return at_taps(np.einsum("s,si,sj->ij", weight, values, values, optimize=False), window)
 
 
 def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpectrum, white: Array) -> PlainSurfaces | None:
@@ -388,3 +389,50 @@ def has_single_bands(rule: ClassRule, index: int) -> bool:
 def _membership(window: NDArray[np.int64]) -> Array:
     """Return a matrix (tap, channel) that is 1 at each tap's channel, and 0 elsewhere."""
     return (window[:, None] == np.arange(window.max() + 1)).astype(np.float64)
+
+
+POLARISED_NODES = np.array([450.0, 550.0, 650.0])  # nm; wavelengths at which the polarisation of the grey is independent
+POLARISED_DEVIATION = 0.1  # standard deviation of S1/S0 and of S2/S0 of the grey at each wavelength
+
+
+def polarised_grey(camera: CameraModel, light: LightSpectrum, outputs: tuple[str, ...]) -> Array:
+    """Compute the moments that polarisation adds to the moments of a uniform grey.
+
+    S1/S0 and S2/S0 vary independently from patch to patch, and at each wavelength of `POLARISED_NODES`. They are
+    interpolated linearly between these wavelengths.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        Camera with polarisers.
+    light : LightSpectrum
+        Illuminant of the scene.
+    outputs : tuple of str
+        Names of the outputs, which contain S1 and S2.
+
+    Returns
+    -------
+    ndarray, (column, column)
+        The columns are channels, intercept and outputs. The patches have a total weight of 1.
+    """
+    grid, lit = light.wavelength, light.radiance.astype(np.float64)
+    share = np.array([np.interp(grid, POLARISED_NODES, node) for node in np.eye(POLARISED_NODES.size)])
+    weights = camera.stokes_weights * camera.channel_gains[:, None] @ spectra.sampling_matrix(grid, camera.wavelength) * lit
+    # einsum instead of BLAS, because BLAS results depend on the number of threads
+    signals = np.einsum("kcw,nw->knc", weights, share) * (camera.output_unit / camera.full_scale)
+    luminance = np.einsum("w,nw->n", spectra.xyz_weights(grid)[1] * lit, share)
+    channels = signals.shape[2]
+    patterns = np.zeros((2, POLARISED_NODES.size, channels + 1 + len(outputs)))
+    for number, name in enumerate(("S1", "S2")):
+        patterns[number, :, :channels] = signals[1 + number]
+        patterns[number, :, channels + 1 + outputs.index(name)] = luminance / luminance.sum()
+    white = signals[0].sum(axis=0).mean()  # mean signal of a white, whose Y is 1
+    moments = np.einsum("kni,knj->ij", patterns, patterns, optimize=False)
+    return np.asarray(moments * (POLARISED_DEVIATION**2 / white))
+
+
+def at_taps(moments: Array, window: NDArray[np.int64]) -> Array:
+    """Convert moments of uniform patches from the columns channels, intercept and outputs to taps, intercept and outputs."""
+    channels = window.max() + 1
+    columns = np.concatenate([window, np.arange(channels, len(moments))])  # all taps of a channel have the same value
+    return np.asarray(moments[np.ix_(columns, columns)])

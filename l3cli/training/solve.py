@@ -27,7 +27,7 @@ from l3cli.training import systems
 from l3cli.training.goal import Goal
 from l3cli.training.highlights import flat_moments, grey_patches, plain_colours, steps_back, white_channels
 from l3cli.training.lines import split_noise
-from l3cli.training.plain_surfaces import has_single_bands, output_gains, single_bands
+from l3cli.training.plain_surfaces import at_taps, has_single_bands, output_gains, single_bands
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.sums import moment_matrix, turned_places, width_of
 from l3cli.training.symmetry import Turn
@@ -294,12 +294,17 @@ def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Arr
 
     Only these classes are trained on uniform surfaces, so that textured surfaces keep their colour. In classes with a
     direction, the surfaces have the weight `DIRECTED_SURFACES`, unless the rule has only one chroma. Chromas that occur only
-    in stripes are trained on stripes in classes of any direction. If the goal contains no surfaces, or if `white` (from
-    `white_channels`) does not come from the camera model, the dict is empty.
+    in stripes are trained on stripes in classes of any direction. If the outputs are X, Y, Z, S1 and S2, a polarised grey
+    replaces the surfaces. Otherwise, the dict is empty if the goal contains no surfaces, or if `white` (from
+    `white_channels`) does not come from the camera model.
     """
-    if goal.surfaces is None or white is None or goal.white_signal is None or not np.array_equal(white, goal.white_signal):
+    plain: dict[int, Array]
+    if goal.polarised is not None:
+        plain = dict.fromkeys(range(rule.chromas), at_taps(goal.polarised, window))
+    elif goal.surfaces is None or white is None or goal.white_signal is None or not np.array_equal(white, goal.white_signal):
         return {}
-    plain = {chroma: each for chroma, each in enumerate(goal.surfaces.moments(rule, window)) if each is not None}
+    else:
+        plain = {chroma: each for chroma, each in enumerate(goal.surfaces.moments(rule, window)) if each is not None}
     levels = np.arange(rule.levels)
     every = np.arange(rule.combinations)[:, None]  # a pixel near a uniform area's border may have a direction
     trained: dict[int, Array] = {}
@@ -307,6 +312,8 @@ def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Arr
     for chroma, each in plain.items():
         trained |= dict.fromkeys(rule.join(levels, 0, chroma).tolist(), each)
         trained |= dict.fromkeys(np.ravel(rule.join(levels, 0, chroma, combination=every[1:])).tolist(), directed * each)
+    if goal.surfaces is None:
+        return trained
     for chroma, each in goal.surfaces.moments_of_stripes(rule, window).items():
         trained |= dict.fromkeys(np.ravel(rule.join(levels, 0, chroma, combination=every)).tolist(), each)
     return trained

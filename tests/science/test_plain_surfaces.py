@@ -15,10 +15,24 @@ from l3cli.artifacts.training_set import LightSpectrum, white_signal
 from l3cli.classes.features import ClassRecipe
 from l3cli.classes.rule import make_rule
 from l3cli.classes.windows import neighbourhoods
+from l3cli.frames.scene import NO_ILLUMINANT, Polarisation, Scene
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
-from l3cli.simulation.light import make_light
-from l3cli.training.plain_surfaces import GREY_SHARE, MIN_SURFACES, PlainSurfaces, false_colours, plain_surfaces
+from l3cli.physics.stokes import COLOUR_STOKES, STOKES
+from l3cli.simulation.frame import simulate
+from l3cli.simulation.light import OUTPUTS, Target, make_light
+from l3cli.simulation.recipe import Lens
+from l3cli.training.plain_surfaces import (
+    GREY_SHARE,
+    MIN_SURFACES,
+    POLARISED_DEVIATION,
+    POLARISED_NODES,
+    PlainSurfaces,
+    at_taps,
+    false_colours,
+    plain_surfaces,
+    polarised_grey,
+)  # fmt: skip
 from l3cli.training.solve import DIRECTED_SURFACES
 from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS
@@ -26,6 +40,8 @@ from tests.helpers.paths import CONFIGS
 SCENES = """
 illuminants = {lights}
 exposure_share = [0.9]
+[target]
+outputs = "{outputs}"
 [[scene]]
 source = "dead leaves"
 size = [80, 80]
@@ -129,10 +145,11 @@ def learned(
     levels: int = 2,
     chromas: int = 6,
     camera: str = "fiveband",
+    outputs: str = "CIE 1931",
 ) -> TransformTable:
     """A small table of a camera, of classes with `more` keys."""
     folder.mkdir(exist_ok=True)
-    (folder / "scenes.toml").write_text(SCENES.format(lights=str(lights).replace("'", '"')))
+    (folder / "scenes.toml").write_text(SCENES.format(lights=str(lights).replace("'", '"'), outputs=outputs))
     (folder / "classes.toml").write_text(CLASSES.format(weight=weight, levels=levels, chromas=chromas) + more)
     if not (folder / "scenes.h5").exists():
         recipe = CONFIGS / f"cameras/{camera}.toml"
@@ -241,3 +258,57 @@ def test_training_under_several_lights_is_left_to_its_patches(tmp_path: Path, l3
     assert taught.light is not None
     assert taught.light.spread > 0.1
     np.testing.assert_array_equal(taught.first.weights, without.first.weights)
+
+
+@pytest.mark.parametrize(("name", "outputs"), [("polarised", STOKES), ("polarised_colour", COLOUR_STOKES)])
+def test_the_polarised_grey_is_what_the_simulation_makes_of_it(name: str, outputs: tuple[str, ...]) -> None:
+    """Each Stokes parameter at each wavelength changes signals and outputs as in a simulated frame of a uniform grey."""
+    camera = replace(load_camera(CONFIGS / f"cameras/{name}.toml"), rows=16, cols=16)
+    light = make_light("D65", {}, camera.wavelength).at(100.0)
+    kind = next(kind for kind, names in OUTPUTS.items() if names == outputs)
+    target, values = Target(outputs, "", kind), []
+    nodes = np.eye(2 * POLARISED_NODES.size).reshape(-1, 2, POLARISED_NODES.size)
+    for ratio in [np.zeros_like(nodes[0]), *nodes]:
+        every = np.broadcast_to(ratio.astype(np.float32), (16, 16, *ratio.shape)).copy()
+        grey = np.ones((16, 16, camera.wavelength.size), np.float32)
+        scene = Scene("grey", camera.wavelength, grey, NO_ILLUMINANT, polarisation=Polarisation(POLARISED_NODES, every))
+        made = simulate(camera, scene, light, 0.01, Lens(diffraction=False), (0,), target, "none")
+        values.append(np.concatenate([each[:, 8, 8] for each in (made.electrons, made.target)]).astype(np.float64))
+    plain, channels = values[0], len(camera.channels)
+    luminance = plain[channels:][outputs.index("Y" if "Y" in outputs else "S0")]
+    scale = np.where(np.arange(plain.size) < channels, plain[:channels].mean(), luminance)
+    change = (np.array(values[1:]) - plain) / scale * POLARISED_DEVIATION
+    moments = polarised_grey(camera, light.spectrum, outputs)
+    signal = white_signal(light.spectrum, camera).mean()
+    units = np.where(np.arange(plain.size) < channels, signal, 1.0)
+    columns = np.delete(np.arange(len(moments)), channels)
+    wanted = change.T @ change * units[:, None] * units / signal
+    np.testing.assert_allclose(moments[np.ix_(columns, columns)], wanted, rtol=2e-3, atol=2e-3 * wanted.max())
+    assert not moments[channels].any()
+
+
+def test_polarisation_of_uniform_areas_is_not_inferred_from_other_colours(tmp_path: Path, l3: L3) -> None:
+    """Classes trained on the polarised grey compute its S1 and S2, at any polarisation of the colours."""
+    camera, errors = load_camera(CONFIGS / "cameras/polarised_colour.toml"), []
+    window = neighbourhoods(camera.cfa, 5, len(camera.channels)).channel[0]
+    moments = at_taps(polarised_grey(camera, spectrum(camera, "D65"), COLOUR_STOKES), window)
+    outputs = window.size + 1 + np.array([COLOUR_STOKES.index("S1"), COLOUR_STOKES.index("S2")])
+    power = moments[outputs, outputs]
+    for weight in (0.0, 30.0):
+        first = learned(
+            ["D65"],
+            weight,
+            tmp_path,
+            l3,
+            DIRECTION,
+            levels=4,
+            chromas=1,
+            camera="polarised_colour",
+            outputs="CIE 1931 + Stokes",
+        ).first
+        rows = first.weights[first.rule.join(2, 0, 0, combination=np.arange(first.rule.combinations)), 3:, : window.size]
+        made = np.einsum("dot,tu,dou->do", rows, moments[: window.size, : window.size], rows, optimize=True)
+        both = np.einsum("dot,to->do", rows, moments[: window.size, outputs])
+        errors.append((power - 2 * both + made) / power)
+    assert errors[1].max() < 0.01
+    assert errors[1].max() < 0.2 * errors[0].min()
