@@ -185,8 +185,8 @@ class PartialLayerSums(Artifact):
         levels = self.table.first.rule.levels
         if [len(scale.gradient_factor) for scale in self.gradients] != [levels for _ in self.table.noises]:
             raise ValueError(
-                f"gradients must contain one scale with {levels} levels for each of the {len(self.table.noises)} noise "
-                "conditions of the table"
+                f"gradients must contain a GradientScale for each of the table's {len(self.table.noises)} noise conditions, "
+                f"with one factor for each of the {levels} levels"
             )
 
     @property

@@ -43,7 +43,7 @@ class LightSpectrum:
             raise ValueError("wavelength of an illuminant must contain at least two positive, increasing values")
         if not self.radiance.min() >= 0 < self.radiance.max():
             raise ValueError(
-                "radiance of an illuminant must not be negative, and must be positive for at least one wavelength"
+                "the radiance of an illuminant must not be negative, and must be positive at one wavelength or more"
             )
 
 

@@ -460,8 +460,8 @@ def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray
         patches = patch_map(capture.corners, rows, cols)
     except np.linalg.LinAlgError:
         raise InputFileError(
-            f'{capture.name}: the corners of the chart are on a line; correct "corners", which must begin at patch 1 and '
-            "continue clockwise"
+            f'{capture.name}: the corners of the chart are on a line; correct "corners" (begin at patch 1 and continue '
+            "clockwise)"
         ) from None
     patches[defects[:, 0], defects[:, 1]] = PATCHES
     patch = patches.ravel()

@@ -102,7 +102,7 @@ def _file(path: Path, at: Dated | None, console: Console) -> dict[str, Any]:
     try:
         require_regular(path)
         if dated(path) != at:
-            console.warn(f"{path} changed while l3 ran, so the JSON does not contain its digest")
+            console.warn(f"{path} changed while l3 was running, so the JSON does not contain its digest")
         else:
             size, digest = at[0] if at else None, sha256(path)
     except InputFileError:

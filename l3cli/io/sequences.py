@@ -456,7 +456,7 @@ def paired(ours: PictureSequence, wanted: PictureSequence | None) -> Iterator[tu
         motion = next(motions, None)
         yield picture, ideal, None if motion is None else read_motion(motion, ours.shape)
     if wanted is not None and next(ideals, None) is not None:
-        raise InputFileError(f"{ours.name} ends before {wanted.name}; compare pictures of the same frames")
+        raise InputFileError(f"{ours.name} has fewer pictures than {wanted.name}; compare pictures of the same frames")
 
 
 def read_motion(path: Path, shape: tuple[int, int]) -> Linear:

@@ -475,7 +475,7 @@ class InTurn:
             self._video = self._opened(path)
         if self._video is None or self._video.path != path or self._video.position != number:
             raise InputFileError(
-                f"{path} cannot be read after a frame that crashed the decoder; use an undamaged copy of the video"
+                f"the decoder crashed on a frame of {path}, so the rest cannot be read; use an undamaged copy of the video"
             )
         return self._video
 

@@ -83,7 +83,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
         raise RecipeError(f"{name} is not valid TOML: {error}") from error
     except RecursionError as error:
         raise RecipeError(
-            f"{name} is not valid TOML: its lists or tables are nested too deeply; use fewer levels"
+            f"{name} cannot be read: its arrays or tables are nested too deeply; use fewer nested arrays or tables"
         ) from error
     finally:
         if collecting:

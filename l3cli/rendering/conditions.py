@@ -337,7 +337,7 @@ class NoiseSets:
         macros = [kernel_macros(each.first.rule) for each in self.tables[:2]]
         if macros[0] != macros[-1]:
             raise InputFileError(
-                "the table's transforms for low noise have a different class rule from its other transforms; train the "
+                "the table's transforms for low noise have a different class rule than the other transforms; train the "
                 "table again"
             )
 

@@ -487,7 +487,7 @@ def _text_curves(content: str, path: Path) -> CurveTable:
         return _digitised(text.pairs, text.faults, path)
     heading, rows = text.heading, text.rows
     if len(rows) > MOST_ROWS:
-        raise InputFileError(f"{path} has {len(rows)} wavelengths; reduce the number to at most {MOST_ROWS}")
+        raise InputFileError(f"{path} has {len(rows)} wavelengths, but l3 reads at most {MOST_ROWS}; remove some")
     table = np.array(rows)
     at, scale = (0, None) if heading is None else _wavelength_column(heading, path)
     wavelength = table[:, at] * (scale or 1.0)

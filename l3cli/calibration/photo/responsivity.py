@@ -154,8 +154,8 @@ def _geometry(capture: PhotoCapture, mosaic: Array, cfa: NDArray[np.uint8], refl
         np.linalg.inv(matrix)
     except np.linalg.LinAlgError:
         raise InputFileError(
-            f'{capture.name}: the corners of the chart are on a line; correct "corners", which must begin at patch 1 and '
-            "continue clockwise"
+            f'{capture.name}: the corners of the chart are on a line; correct "corners" (begin at patch 1 and continue '
+            "clockwise)"
         ) from None
     return matrix
 

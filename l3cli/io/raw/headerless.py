@@ -154,7 +154,7 @@ def make_layout(
     layout = Layout(rows, cols, packing, stride, skip, byte_order == "big")
     if stride is not None and stride < layout.row_bytes:
         raise RecipeError(
-            f"‹stride› {stride} is too short for {layout.row_pixels} {packing.name} values per row; set at least "
+            f"‹stride› {stride} is too small; a row of {layout.row_pixels} {packing.name} values needs at least "
             f"{layout.row_bytes} bytes"
         )
     return layout

@@ -340,7 +340,7 @@ class Whites:
         if not (np.isfinite(neutral).all() and neutral.max() > 0):
             shown = ", ".join(f"{each:g}" for each in neutral)
             raise InputFileError(
-                f"the white has the channel signals {shown}, which must be finite and not all zero; set another ‹white›"
+                f"the channel signals of the white are {shown}, but must be finite and not all zero; set a different ‹white›"
             )
         camera = self.table.camera
         if camera is None:

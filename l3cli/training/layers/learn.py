@@ -106,7 +106,7 @@ def solve_layer(
             for site, one in enumerate(estimates):
                 transforms[site][index, :taps, of] = one[:, : len(of)].T
     if not solved.any():
-        raise L3Error("no class of a refinement layer has samples at every CFA site; simulate more or larger frames")
+        raise L3Error("a refinement layer has no class with samples at every CFA site; simulate more or larger frames")
     fitting = solved & np.all([fits_between(one) for one in transforms], axis=0)
     source = _nearest(fitting if fitting.any() else solved, rule)
     return [one[source] for one in transforms]
