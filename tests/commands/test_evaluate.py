@@ -155,7 +155,7 @@ def of_bands(trained: Path) -> tuple[Path, Path]:
 def test_bands_are_judged_as_spectra(
     trained: Path, of_bands: tuple[Path, Path], l3: L3, refused: Refused, tmp_path: Path
 ) -> None:
-    code, out, _ = l3("evaluate", *of_bands, "--json")
+    code, out, _ = l3("evaluate", *of_bands, "--json", "--backend", "reference")
     assert code == 0
     document = json.loads(out)
     assert document["pipelines"] == ["ours"]
@@ -163,7 +163,7 @@ def test_bands_are_judged_as_spectra(
     assert set(document["mean"]["ours"]) == angles | {"rmse", "psnr", "output_psnr", "ssim"}
     assert [entry["band"] for entry in document["by_band"]] == document["outputs"]
     assert 0 < document["mean"]["ours"]["mean_angle"] < 20
-    assert l3("evaluate", *of_bands)[0] == 0
+    assert l3("evaluate", *of_bands, "--backend", "reference")[0] == 0
     assert "450 nm, 550 nm, 650 nm" in refused(3, "evaluate", of_bands[0], trained / "training.h5")
     assert "450 nm, 550 nm, 650 nm" in refused(2, "evaluate", *of_bands, "--pictures", tmp_path / "pictures")
 
@@ -173,7 +173,7 @@ def test_black_areas_have_no_angle_and_no_class(trained: Path, of_bands: tuple[P
         return dataclasses.replace(frame, target=frame.target * (np.arange(frame.target.shape[2]) < 28))
 
     rewritten(trained / "training.h5", tmp_path / "black.h5", BANDS, half_black)
-    code, out, _ = l3("evaluate", of_bands[0], tmp_path / "black.h5", "--border", "0", "--json")
+    code, out, _ = l3("evaluate", of_bands[0], tmp_path / "black.h5", "--border", "0", "--json", "--backend", "reference")
     assert code == 0
     document = json.loads(out)
     assert sum(entry["pixels"] for entry in document["by_class"]["level"]) == len(document["frames"]) * 48 * 28

@@ -30,7 +30,7 @@ OUTPUT_TOLERANCE = 1e-5
 STRIPES = [[0, 1, 2, 0, 1], [1, 2, 0, 1, 2], [2, 0, 1, 2, 0]]
 SIXTEEN = np.arange(16).reshape(4, 4)
 TABLES = {
-    "bayer": lambda: random_table(BAYER, bits=10, black_level=64.0),
+    "bayer": lambda: random_table(BAYER, bits=12, black_level=64.0),  # as in many tests of commands
     "five-band": lambda: random_table(
         FIVE_BAND, bits=12, black_level=108.93, patch=9, contrasts=(1.1, 2.0), chroma_dither=True
     ),

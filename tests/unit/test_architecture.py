@@ -56,7 +56,8 @@ def nodes(path: Path) -> list[ast.AST]:
     return list(ast.walk(ast.parse(path.read_text())))
 
 
-def imports(path: Path) -> set[str]:
+@functools.cache
+def imports(path: Path) -> frozenset[str]:
     modules = set()
     for node in nodes(path):
         if isinstance(node, ast.Import):
@@ -66,7 +67,7 @@ def imports(path: Path) -> set[str]:
             modules.add(node.module or "")
             if node.module in ("l3cli", "tests"):
                 modules |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return modules
+    return frozenset(modules)
 
 
 def layer(package: str) -> int:
@@ -87,10 +88,10 @@ def test_imports_go_down_and_never_across() -> None:
             assert allowed, f"{path}: {parts[0]} (layer {place}) imports {name} (layer {there})"
 
 
-def imported_at_start(tree: ast.Module) -> Iterator[ast.ImportFrom | ast.Import]:
+def imported_at_start(path: Path) -> Iterator[ast.ImportFrom | ast.Import]:
     """Yield the imports of a module outside of functions."""
-    inside = {id(inner) for node in ast.walk(tree) if isinstance(node, ast.FunctionDef) for inner in ast.walk(node)}
-    yield from (n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom | ast.Import) and id(n) not in inside)
+    inside = {id(inner) for node in nodes(path) if isinstance(node, ast.FunctionDef) for inner in ast.walk(node)}
+    yield from (n for n in nodes(path) if isinstance(n, ast.ImportFrom | ast.Import) and id(n) not in inside)
 
 
 def test_no_imports_in_circles() -> None:
@@ -102,7 +103,7 @@ def test_no_imports_in_circles() -> None:
     for module, path in paths.items():
         if module == PACKAGE.name:  # it offers the API, and every module may ask it for the version
             continue
-        for node in imported_at_start(ast.parse(path.read_text())):
+        for node in imported_at_start(path):
             of = node.module or "" if isinstance(node, ast.ImportFrom) else ""
             names = {f"{of}.{alias.name}".lstrip(".") for alias in node.names}
             imported = {name if name in paths else of for name in names} & paths.keys() - {module, PACKAGE.name}

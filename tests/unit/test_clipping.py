@@ -64,7 +64,7 @@ def vivid_frame(table: TransformTable, white: NDArray) -> RawFrame:
 @pytest.mark.parametrize(("array", "variant"), [("bayer", "graphics"), ("x-trans", "processor")])
 def test_backends_agree(monkeypatch: pytest.MonkeyPatch, array: str, variant: str) -> None:
     """Also in bands, at any phase, and in frames smaller than a block."""
-    bare = with_coarse_chroma(with_refinement(random_table(ARRAYS[array], black_level=64.0, patch=5), 5))
+    bare = with_coarse_chroma(with_refinement(random_table(ARRAYS[array], black_level=64.0, patch=5), 5, ratios=1))
     table = with_clipping(bare)
     frames = [soft_frame(table, (190, 131)), soft_frame(table, (43, 300), (1, 1)), soft_frame(table, (3, 2))]
     assert table.later[-1].clipping is not None
@@ -84,9 +84,8 @@ def test_backends_agree(monkeypatch: pytest.MonkeyPatch, array: str, variant: st
     np.testing.assert_array_equal(OpenCLRenderer(table, variant=variant).outputs(frames[0]), whole)
 
 
-@pytest.mark.parametrize("variant", ["graphics", "processor"])
-@pytest.mark.parametrize("sides", [(), (3,)], ids=["one layer", "two layers"])
-def test_no_pixel_is_brighter_than_the_clipped_white(variant: str, sides: tuple[int, ...]) -> None:
+@pytest.mark.parametrize(("sides", "variant"), [((), "processor"), ((3,), "graphics")], ids=["one layer", "two layers"])
+def test_no_pixel_is_brighter_than_the_clipped_white(sides: tuple[int, ...], variant: str) -> None:
     bare = with_refinement(random_table(BAYER, black_level=64.0, patch=5), *sides)
     frame = soft_frame(bare, (43, 131))
     before = ReferenceRenderer(bare).exact_outputs(frame)

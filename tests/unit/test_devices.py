@@ -23,9 +23,10 @@ from l3cli.rendering.opencl.processor import HASWELL, PROCESSORS, compiled_for
 from l3cli.rendering.opencl.programs import compiler_of
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.renderer import make_ready, make_renderer
+from tests.helpers import rendered
 from tests.helpers.cameras import BAYER
 from tests.helpers.paths import ROOT
-from tests.helpers.tables import random_table, with_refinement, with_tree
+from tests.helpers.tables import random_table
 
 
 def test_device_is_chosen_by_index_and_name() -> None:
@@ -184,18 +185,17 @@ def test_what_is_compiled_for_another_processor_is_another_program(monkeypatch: 
 FRAME = RawFrame("noise", np.random.default_rng(1).integers(0, 4096, (61, 301), np.uint16), 64, 4095)
 
 
-TABLES = {"structures": with_refinement(random_table(BAYER, patch=3), 3), "tree": with_tree(random_table(BAYER, patch=3))}
+TABLES = {"structures": rendered.TABLES["two layers"](), "tree": rendered.TABLES["tree of one leaf"]()}
 
 
-def render_each() -> None:
-    for table in TABLES.values():
-        OpenCLRenderer(table).picture(FRAME, Display(np.eye(3), 8))
+def render_tree() -> None:
+    OpenCLRenderer(TABLES["tree"]).picture(FRAME, Display(np.eye(3), 8))
 
 
 def test_the_code_of_a_kernel_is_there_once(tmp_path: Path) -> None:
     if shutil.which("nm") is None or "PoCL 3.0" not in choose_device("").platform.version:
         pytest.skip("it is PoCL 3.0 that would have it three times")
-    call = [sys.executable, "-c", f"from {__name__} import render_each; render_each()"]
+    call = [sys.executable, "-c", f"from {__name__} import render_tree; render_tree()"]
     subprocess.run(call, cwd=ROOT, env={**os.environ, "POCL_CACHE_DIR": str(tmp_path)}, check=True)
     made = list(tmp_path.rglob("*.so"))
     assert made

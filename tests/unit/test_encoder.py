@@ -13,11 +13,11 @@ from l3cli.rendering.display import Display, make_display
 from l3cli.rendering.opencl import renderer as opencl
 from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
-from tests.helpers.cameras import BAYER
-from tests.helpers.tables import random_table, with_refinement
+from tests.helpers.rendered import TABLES
 
-ONE_LAYER = random_table(BAYER, bits=12, black_level=64.0, patch=3)
-TWO_LAYERS = with_refinement(ONE_LAYER, 3, ratios=1)
+# Other tests compile the kernels of these tables, too.
+ONE_LAYER, TWO_LAYERS = TABLES["bayer"](), TABLES["two layers"]()
+FOUR_OUTPUTS, STRIPES = TABLES["four outputs"](), TABLES["stripes"]()
 
 
 def noise(rows: int = 61, cols: int = 301, seed: int = 1) -> RawFrame:
@@ -31,7 +31,7 @@ def display(bits: int) -> Display:
 
 @pytest.mark.parametrize(
     ("table", "engine", "bits"),
-    [(TWO_LAYERS, {}, 8), (ONE_LAYER, {"lanes": 8}, 16), (ONE_LAYER, {"variant": "graphics"}, 8)],
+    [(TWO_LAYERS, {}, 8), (FOUR_OUTPUTS, {"lanes": 8}, 16), (STRIPES, {"variant": "graphics"}, 8)],
     ids=["two layers", "8 lanes", "graphics"],
 )
 def test_encoded_afterwards_or_with_the_transforms(table: TransformTable, engine: dict[str, Any], bits: int) -> None:

@@ -109,17 +109,17 @@ def bayer_frame(light: np.ndarray, seed: int = 0) -> RawFrame:
     return RawFrame("a", np.rint(64 + signal + noise).clip(0, 4095).astype(np.uint16), 64.0, 4095.0)
 
 
-ROW, COL = np.mgrid[:480, :720]
-BLOTCHES = np.random.default_rng(4).uniform(0.1, 0.9, (29, 43))[ROW // 17, COL // 17]
-RADIUS = ((ROW - 240) ** 2 + (COL - 360) ** 2) / (240**2 + 360**2)
+ROW, COL = np.mgrid[:240, :360]
+BLOTCHES = np.random.default_rng(4).uniform(0.1, 0.9, (15, 22))[ROW // 17, COL // 17]
+RADIUS = ((ROW - 120) ** 2 + (COL - 180) ** 2) / (120**2 + 180**2)
 TRUE_BAYER = {
     "plain": np.full(ROW.shape, 0.3),
     "dark": np.full(ROW.shape, 0.003),
     "shaded": 0.5 / (1 + 3 * RADIUS),
     "slanted fine stripes": np.where((COL * 0.97 + ROW * 0.1) % 5 < 2.5, 0.5, 0.02),
     "noise of full contrast": np.random.default_rng(2).uniform(0, 0.6, ROW.shape),
-    "a wedge": np.linspace(0, 0.6, 720) * np.ones(ROW.shape),
-    "an edge": np.where(COL < 361, 0.02, 0.6),
+    "a wedge": np.linspace(0, 0.6, 360) * np.ones(ROW.shape),
+    "an edge": np.where(COL < 181, 0.02, 0.6),
 }
 
 
@@ -149,12 +149,12 @@ def test_slanted_stripes_of_an_exact_period_are_no_other_array(period: int, line
 @pytest.mark.parametrize("ratio", [1.2, 2, 25])
 def test_checks_of_an_exact_period_are_no_other_array(size: tuple[int, int], first: int, ratio: float) -> None:
     dark = ((ROW + first) // size[0] + COL // size[1]) % 2 == 0
-    for light in (np.where(dark, 0.5 / ratio, 0.5), np.where(dark & (COL < 400), 0.5 / ratio, 0.5)):
+    for light in (np.where(dark, 0.5 / ratio, 0.5), np.where(dark & (COL < 200), 0.5 / ratio, 0.5)):
         assert array_doubt(bayer_frame(light), np.array(BAYER, np.uint8)) is None
 
 
 def test_pairs_of_dark_rows_in_a_part_of_the_frame_are_no_other_array() -> None:
-    for light in (np.where((ROW % 4 < 2) & (COL < 360), 0.02, 0.5), np.where((ROW % 4 < 2) & (ROW < 240), 0.02, 0.5)):
+    for light in (np.where((ROW % 4 < 2) & (COL < 180), 0.02, 0.5), np.where((ROW % 4 < 2) & (ROW < 120), 0.02, 0.5)):
         assert array_doubt(bayer_frame(light), np.array(BAYER, np.uint8)) is None
 
 
@@ -173,7 +173,7 @@ def two_gains(light: np.ndarray, ratio: float, first: int, gain: float) -> RawFr
     """A frame of a sensor whose pairs of rows have the gains `gain` and `ratio` · `gain`, in DN per electron."""
     rng = np.random.default_rng(5)
     gains = gain * np.where((ROW + first) % 4 < 2, 1.0, ratio)
-    collected = rng.poisson(light * DAYLIGHT[np.tile(BAYER, (240, 360))] * 3000 / (gain * ratio))
+    collected = rng.poisson(light * DAYLIGHT[np.tile(BAYER, (120, 180))] * 3000 / (gain * ratio))
     values = 64 + gains * collected + rng.normal(0, 1, light.shape)
     return RawFrame("a", np.rint(values).clip(0, 4095).astype(np.uint16), 64.0, 4095.0)
 

@@ -15,7 +15,6 @@ from l3cli.errors import RecipeError
 from l3cli.frames.frame import NoiseLeft, RawFrame
 from l3cli.physics.display import TONES, Tone
 from l3cli.physics.spaces import SRGB_CURVE
-from l3cli.physics.stokes import COLOUR_STOKES
 from l3cli.rendering.display import Display, make_display
 from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
@@ -25,17 +24,12 @@ from l3cli.rendering.rendition import Rendition, rendered
 from l3cli.rendering.white.source import usual_balance
 from tests.helpers.cameras import BAYER
 from tests.helpers.hostile import HANGS, timed
-from tests.helpers.rendered import KINDS, OUTPUT_TOLERANCE, STRIPES, TABLES, assert_equal_to_reference
+from tests.helpers.rendered import KINDS, OUTPUT_TOLERANCE, TABLES, assert_equal_to_reference
 from tests.helpers.tables import (
     XYZ,
     frame_of_all_levels,
     random_table,
-    with_coarse_chroma,
-    with_components,
     with_first,
-    with_refinement,
-    with_stokes_layer,
-    with_tree,
 )
 
 TREES = [name for name in TABLES if name.startswith("tree")][:-1]  # of several leaves
@@ -51,9 +45,23 @@ RENDERED += [("two sets of three layers", "graphics"), ("corrected bands", "8 la
 RENDERED += [("coarse chroma", "8 lanes"), ("coarse chroma", "16 lanes"), ("coarse chroma", "graphics")]
 RENDERED += [("colours and polarisation", "8 lanes"), ("colours and polarisation", "graphics")]
 RENDERED += [("tree of five bands", "graphics"), ("tree of stripes", "graphics"), ("tree of one leaf", "graphics")]
+# Each part of these kernels is also in the kernels of other cases, so that only `make soak` compiles them.
+REPEATED = [
+    ("white", "processor"),  # arrays and depths: five-band, x-trans
+    ("two layers of 16 bits", "processor"),  # two layers, x-trans
+    ("three layers", "processor"),  # four layers
+    ("two wide layers", "processor"),  # four layers
+    ("coarse chroma of three layers", "processor"),  # coarse chroma, four layers
+    ("two sets of three layers", "processor"),  # two sets, three sets of a tree
+    ("tree of 8 bits", "processor"),  # test_leaves_of_a_frame_that_falls_into_most_of_them
+    ("tree of one leaf", "graphics"),  # tree of one leaf on the processor, tree of stripes
+]
 
 
-@pytest.fixture(scope="module", params=RENDERED, ids="-".join)
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(each, marks=[pytest.mark.soak] * (each in REPEATED), id="-".join(each)) for each in RENDERED],
+)
 def renderers(request: pytest.FixtureRequest) -> tuple[ReferenceRenderer, OpenCLRenderer]:
     name, kind = request.param
     table = TABLES[name]()
@@ -153,36 +161,28 @@ def test_any_colour_filter_array(data: st.DataObject) -> None:
         assert_equal_to_reference(ReferenceRenderer(table), device, data.draw(frames(table)))
 
 
-@pytest.mark.parametrize("kind", ["processor", "graphics"])
-@pytest.mark.parametrize(
-    "layers", ["one layer", "two layers", "tree", "four layers", "coarse chroma", "corrected", "colours and polarisation"]
-)
-def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch, layers: str, kind: str) -> None:
-    table = random_table(STRIPES, bits=12, black_level=100.0, patch=5)
-    several = {
-        "two layers": with_refinement(table, 5),
-        "four layers": with_refinement(table, 3, 7, 5),
-        "tree": with_tree(table, 5),
-        "coarse chroma": with_coarse_chroma(with_refinement(table, 5)),
-        "colours and polarisation": with_stokes_layer(
-            random_table(STRIPES, bits=12, black_level=100.0, patch=5, outputs=COLOUR_STOKES)
-        ),
-        "corrected": with_components(random_table(STRIPES, bits=12, black_level=100.0, patch=5, outputs=tuple("abcdef"))),
-    }
-    table = several.get(layers, table)
-    frame = RawFrame(
-        "f", np.random.default_rng(0).integers(0, 4096, (61, 83)).astype(np.uint16), 100.0, table.white_level, (2, 1)
-    )
+# Tables whose kernels other tests compile, too.
+BANDED = ["stripes", "two layers", "tree of stripes", "coarse chroma", "corrected bands", "colours and polarisation"]
+BANDED_ON = [(name, kind) for name in BANDED for kind in ("processor", "graphics")]
+BANDED_ON += [("four layers", "processor"), ("two sets of three layers", "graphics")]
+
+
+@pytest.mark.parametrize(("name", "kind"), BANDED_ON)
+def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch, name: str, kind: str) -> None:
+    table = TABLES[name]()
+    values = np.random.default_rng(0).integers(0, 2**table.bits, (61, 83)).astype(np.uint16)
+    left = some_left(np.random.default_rng(1), *values.shape) if table.conditions else None
+    frame = RawFrame("f", values, table.black_level, table.white_level, (1, 1), noise_left=left)
     if table.later and table.later[-1].coarse_chroma:  # farther than a band reads
         frame = dataclasses.replace(frame, values=np.tile(frame.values, (4, 1)))
     display = make_display(table.white_point[:3], 1.0, 8)
-    whole = OpenCLRenderer(table, **KINDS[kind])
+    whole = OpenCLRenderer(table, by_noise=bool(table.conditions), **KINDS[kind])
     labels = [whole.labels(frame, layer) for layer in range(len(table.layers))]
     planes = whole.outputs(frame)
     picture = whole.picture(frame, display) if table.outputs[:3] == XYZ else None
     for rows in (1, 30):
         monkeypatch.setattr(work, "BAND_PIXELS", rows * 83)
-        banded = OpenCLRenderer(table, **KINDS[kind])
+        banded = OpenCLRenderer(table, by_noise=bool(table.conditions), **KINDS[kind])
         for layer, expected in enumerate(labels):
             np.testing.assert_array_equal(banded.labels(frame, layer), expected)
         np.testing.assert_array_equal(banded.outputs(frame), planes)

@@ -37,7 +37,7 @@ def exposed(rng: np.random.Generator, light: NDArray[np.float64], gain: float, b
     ("cfa", "bits", "variant"),
     [
         (BAYER, 12, "graphics"),
-        (FIVE_BAND, 10, "processor"),
+        pytest.param(FIVE_BAND, 10, "processor", marks=pytest.mark.soak),
         (X_TRANS, 16, "processor"),
         (np.arange(10).reshape(2, 5), 12, "processor"),
     ],

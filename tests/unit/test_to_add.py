@@ -390,7 +390,7 @@ def test_all_work_jointly(copy: Path, tmp_path: Path) -> None:
         "render table.h5 frame.txt -o picture.ff --bits 16 --quiet",
         "info table.h5",
         "schema classes",
-        "evaluate table.h5 training.h5 --quiet",
+        "evaluate table.h5 training.h5 --backend reference --quiet",
         "report table.h5 -o page.html --quiet",
         "export table.h5 -o source --quiet",
     )
