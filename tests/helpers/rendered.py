@@ -56,7 +56,7 @@ TABLES = {
         random_table(X_TRANS, bits=16, black_level=2048.0, patch=7, chroma_dither=True), 3
     ),
     "three layers": lambda: with_refinement(random_table(FIVE_BAND, black_level=100.0, patch=7), 5, 3, seed=2),
-    "four layers": lambda: with_refinement(random_table(X_TRANS, bits=14, patch=5), 3, 7, 5, seed=4, ratios=2),
+    "four layers": lambda: with_refinement(random_table(X_TRANS, bits=14, patch=5), 3, 5, 7, seed=4, ratios=2),
     "a layer of single pixels": lambda: with_refinement(random_table(BAYER, patch=5), 1, seed=6, ratios=2),
     "two wide layers": lambda: with_refinement(random_table(BAYER, bits=8, patch=5), 7, seed=3, ratios=1),
     "coarse chroma": lambda: with_clipping(
