@@ -32,7 +32,9 @@ UNREAD = (
     UnreadFormat("a Phantom cine video", (".cine",), EXPORT),
     UnreadFormat("a NorPix sequence", (".seq",), EXPORT, ((0, b"\xed\xfe\x00\x00N\x00o\x00r\x00p\x00i\x00x"),)),
     UnreadFormat(
-        "a RED video", (".r3d",), "record raw frames in a different format, because only RED software reads these videos"
+        "a RED video",
+        (".r3d",),
+        "export raw frames in another format, if your software can, because only RED's own software decodes these videos",
     ),
     UnreadFormat("a Blackmagic RAW video", (".braw",), "record CinemaDNG, or export DNG frames"),
     UnreadFormat("a video of a Canon camera", (".crm",), "export DNG frames"),
