@@ -23,7 +23,8 @@ MAX_LEAVES = 2048
 MAX_DEPTH = 24  # largest number of tests from the root to a leaf, which bounds the kernels' run time
 TESTS = 23  # number of different tests that a tree can use
 ORIENTATIONS = 8  # orientations of a square: four rotations, with and without reflection
-# Range of the absolute values of nonzero thresholds. Some devices flush smaller numbers to zero.
+# Range of the absolute values of nonzero thresholds. The lower limit is far above the denormal numbers (below 1.2e-38),
+# which some devices flush to zero.
 SMALLEST, LARGEST = 1e-30, 2.0**31
 
 
@@ -147,10 +148,15 @@ class StructureRule(PlaneClasses):
         "uint32", "strength_edge", doc="trace of the structure tensor above which each strength begins"
     )
     coherence: int = data(
-        "int64", unit="1/64", doc="smallest fraction of the trace along one direction for which an edge counts as directed"
+        "int64",
+        unit="1/64",
+        doc="fraction of the trace that the component along a direction must exceed in directed edges",
     )
     turns: NDArray[np.int8] = data(
-        "int8", "site", "component", doc="signs of the tensor's components in the orientation in which each site is trained"
+        "int8",
+        "site",
+        "component",
+        doc="signs of xx − yy and xy that turn the tensor to the orientation in which each site is trained",
     )
     cases: int = data("int64", doc="number of saturation cases of the first layer, including the unsaturated one")
 

@@ -327,8 +327,8 @@ class TransformTable(Artifact):
     def white_signals(self) -> NDArray[np.float64] | None:
         """Signal of each channel for a white surface with the output Y = 1, as a fraction of full scale.
 
-        Rendering uses these signals to raise pixels with too low a luminance (docs/method.md#raised-pixels). None if the
-        illuminant or the camera is unknown, or if a channel has no signal.
+        Rendering uses these signals to raise the luminance of pixels where it is much too low
+        (docs/method.md#raised-pixels). None if the illuminant or the camera is unknown, or if a channel has no signal.
         """
         if self.light is None or self.camera is None:
             return None

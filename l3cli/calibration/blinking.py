@@ -10,8 +10,8 @@ variance, but only one peak.
    possible (Otsu, 1979).
 3. The pixel is blinking if two conditions are met. The variance between the groups, as a fraction of the total variance,
    must exceed `highest_share`. Normally distributed values exceed this limit with a probability of `FALSE_ALARMS`, whatever
-   their variance. The levels must differ by `MIN_SIGMAS` standard deviations of a normal pixel, and by more than rounding
-   can explain.
+   their variance. The levels must differ by at least `MIN_SIGMAS` standard deviations of a normal pixel, and by more than
+   rounding can explain.
 """
 
 import itertools

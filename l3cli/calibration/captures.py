@@ -273,7 +273,7 @@ def _means(response: Array, body: Body, channel: int) -> tuple[Array, Array, Arr
 
 
 def _by_cell(site: Array) -> Array:
-    """Return the mean of each cell in a grid of equal cells, with at most CELLS rows and columns."""
+    """Divide an array into a grid of nearly equal cells, at most CELLS (rows, columns), and return the mean of each cell."""
     starts = [
         np.linspace(0, length, min(length, most) + 1).astype(int) for length, most in zip(site.shape, CELLS, strict=True)
     ]

@@ -43,7 +43,7 @@ from l3cli.frames.measurement import Body, Capture
 SATURATED = 0.985  # pixels at or above this fraction of full scale are saturated
 TOLERATED = 1e-4  # largest fraction of saturated pixels in frames from which a variance is computed
 LINEAR = (0.05, 0.95)  # fractions of saturation between which EMVA 1288 evaluates linearity
-CHANCE = 0.01  # significance level of row noise and column noise
+CHANCE = 0.01  # significance level of the tests for row noise and column noise
 # Side of the window for local means, in samples of one CFA site. With more than 9 samples, dust would increase the PRNU.
 WINDOW = 7
 # A sample is part of its own local mean. This reduces the variance of deviations from local means to these fractions, for

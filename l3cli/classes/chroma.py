@@ -4,8 +4,10 @@
 
 S and n are the sum and the number of a channel's values in the patch. Σ is the sum over the channels.
 
-Let f be the channel means above black, divided by their sum, and let q be a chroma centre. The distance |f − q|² is smallest
-for the centre with the smallest |q|² Σ f − 2 Σ f q. With the weights |q|² − 2 q, no division is needed.
+Let m be the channel means above black, f = m / Σ m the channel fractions, and q_k the centre of chroma k. The centre nearest
+to f has the smallest |f − q_k|², and therefore the smallest |q_k|² − 2 Σ f q_k. Multiplying this expression by Σ m does not
+change which centre has the smallest value. Because Σ f = 1, the result is Σ m (|q_k|² − 2 q_k). The weights of chroma k are
+therefore |q_k|² − 2 q_k, and the means need not be divided by their sum.
 
 A class rule may dither between chromas (docs/method.md#dither). If a colour is midway between two chroma centres, half of
 the CFA sites use the second nearest centre. The closer the colour is to the nearest centre, the fewer sites do so. Later

@@ -1,8 +1,8 @@
 """Direction: the axis along which a patch changes most, and the strength and coherence of this change.
 
-docs/method.md#direction contains the formulas. A change is coherent if the values hardly change across the axis. Coherence
-is used only if the class recipe sets it. Transforms are linear, so increasing and decreasing brightness along an axis count
-as the same direction.
+docs/method.md#direction contains the formulas. A change is coherent if the values hardly change perpendicular to this axis.
+Coherence is used only if the class recipe sets it. Transforms are linear, so increasing and decreasing brightness along an
+axis count as the same direction.
 
 Differences are computed along four axes: horizontal (0), diagonal (1), vertical (2) and the other diagonal (3). A rotation
 by 90° swaps axes 0 and 2, and axes 1 and 3. Transposition swaps axes 0 and 2. Strength and coherence do not change. These
@@ -38,8 +38,8 @@ class DirectionKeys(Recipe):
 
     orientations: Literal[4, 8] = 4  # number of distinguished orientations
     strengths: tuple[float, ...] = (4.0,)  # edges between strengths, as multiples of the noise in a difference
-    # A change is coherent if the difference across the axis is at most this fraction of the difference along it. Without
-    # this key, coherence is not used.
+    # A change is coherent if the difference along the perpendicular axis is at most this fraction of the largest difference.
+    # Without this key, coherence is not used.
     coherence: Share | None = None
 
 

@@ -1,4 +1,4 @@
-"""The command line of l3: imports and runs commands on demand, and reports all errors."""
+"""Command-line interface of l3. Each command is imported only when it is run, and all errors are reported here."""
 
 import errno
 import importlib

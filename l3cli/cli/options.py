@@ -102,13 +102,13 @@ def _option(name: str, declared: Declaration) -> Callable[[F], F]:
 
 
 def of(options: type[Options], *modes: Callable[[Any], Any]) -> Callable[[F], F]:
-    """Return a decorator that adds the declared options, --quiet, --log and --json to a command.
+    """Return a decorator that adds --quiet, --log, --json and the options declared in a class to a command.
 
     Parameters
     ----------
     options : type
-        Class that declares the options. The command receives an instance of it, with all values and the console, as its
-        parameter `options`.
+        Class that declares the options. The command receives an instance of this class, with all values and the console, in
+        its parameter `options`.
     *modes : callable
         Additional click decorators. The command receives their values as separate keyword arguments.
     """

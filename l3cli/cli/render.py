@@ -80,8 +80,8 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
 def clips_result(summary: "Summary", fault: BaseException | None = None, show_text: bool = False) -> Result:
     """Return the result of `l3 render`.
 
-    `fault` is the error that stopped the rendering of several clips. If it is set, or if `show_text` is true, a table of the
-    clips is printed.
+    `fault` is the error or interruption that ended the command before all clips were rendered, or None. If it is set, or if
+    `show_text` is true, a table of the clips is printed.
     """
     document = _worded(summary.document())
     text = (lambda: _table(document)) if show_text or fault else None

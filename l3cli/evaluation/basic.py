@@ -263,7 +263,7 @@ def white_electrons(frame: TrainingPair, camera: CameraModel) -> Array:
 
 
 def balance_of(white: Array, exposure: float, camera: CameraModel) -> Array:
-    """Return the factors (channel,) by which photo-electrons are multiplied so that a perfect white becomes 1.
+    """Return the factor of each channel (channel,) that scales the electrons of a perfect white to 1.
 
     The factor of a channel that does not respond to white is 0.
 

@@ -1,4 +1,6 @@
-"""Metrics for reflectances, as spectra and as colours under several illuminants (docs/measurement.md#reflectances).
+"""Metrics for estimated reflectances: spectral errors, and colour differences under several illuminants.
+
+docs/measurement.md#reflectances defines the metrics.
 
 The linear estimators "wiener" and "pinv" are baselines for tables with spectral outputs.
 """

@@ -183,7 +183,7 @@ def measured_snr(plane: Array) -> float:
 
 
 def crossing(lux: Array, snr: Array) -> float | None:
-    """Return the illuminance in lux above which measured signal-to-noise ratios are at least SNR.
+    """Return the illuminance in lux above which all measured signal-to-noise ratios are at least `SNR`.
 
     It is interpolated on logarithmic scales. The result is None outside the measured range, or if the last ratio below SNR
     is 0.
@@ -228,7 +228,7 @@ def edge_document(planes: dict[str, Array], known: tuple[CameraModel, Array, Arr
     Parameters
     ----------
     planes : dict of str to ndarray, (row, col)
-        Each pipeline's picture of an edge, as brightness.
+        Brightness of each pipeline's picture of an edge.
     known : tuple
         Arguments of `known_sharpness`: camera, wavelengths and weights.
     across : str
@@ -255,7 +255,7 @@ def edge_document(planes: dict[str, Array], known: tuple[CameraModel, Array, Arr
 
 
 def grey_document(camera: CameraModel, noise: GreyNoise, lux: Array, raw: Array, snr: dict[str, Array]) -> dict[str, Any]:
-    """Collect the signal-to-noise ratios of a grey target, and the illuminances at which they reach SNR.
+    """Collect the signal-to-noise ratios of a grey target, and the illuminances at which they reach 10 (SNR10).
 
     Parameters
     ----------
@@ -268,7 +268,7 @@ def grey_document(camera: CameraModel, noise: GreyNoise, lux: Array, raw: Array,
     raw : ndarray, (lux, channel)
         Signal-to-noise ratios measured in raw frames.
     snr : dict of str to ndarray, (lux)
-        Signal-to-noise ratios measured in each pipeline's pictures, as brightness.
+        Signal-to-noise ratios of the brightness, measured in the pictures of each pipeline.
     """
     closed, names = noise.snr(lux), camera.channels
     return {

@@ -365,10 +365,10 @@ def datasheet(camera: CameraModel) -> list[Row]:
 
 
 def _polariser_rows(camera: CameraModel, peaks: NDArray[np.integer], given: str) -> list[Row]:
-    """Return the data sheet rows with the polarisers' angles and finite extinction ratios.
+    """Return the data sheet rows with the angles of the polarisers and their extinction ratios, except for infinite ratios.
 
-    `peaks` contains the index of each channel's peak wavelength. `given` is the source of values that were not measured.
-    Measured values have 95 % bands.
+    `peaks` contains the index of each channel's peak wavelength. `given` is the source to name for values that were not
+    measured. Measured values are followed by the half widths of their 95 % confidence intervals.
     """
     polarisers, fit = camera.polarisers, camera.fit.polarisers if camera.fit else None
     rows: list[Row] = []

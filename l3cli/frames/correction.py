@@ -362,8 +362,7 @@ def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
     """Subtract the pattern of a dark frame from a frame.
 
     Only the differences from the dark frame's mean level are subtracted. The mean level above black is stored as
-    `RawFrame.dark`. Clipped pixels are unchanged. The exposure times may differ by 2 %. If one of them is unknown, they are
-    not compared.
+    `RawFrame.dark`. Clipped pixels stay unchanged. The exposure times must agree within 2 %, unless one of them is unknown.
 
     Raises
     ------

@@ -74,8 +74,8 @@ def estimate_gain(frame: RawFrame, camera: CameraModel) -> GainEstimate:
     Raises
     ------
     ValueError
-        If the gain cannot be estimated, for example because too few areas are uniform and unclipped. The message contains
-        the reason.
+        If the gain cannot be estimated, for example because too few areas are uniform and unclipped. The message is
+        only the reason, because the caller tells the user what to do.
     """
     camera = _without_lines(camera)
     patches, gain, excess = _patches_of(frame, camera), 1.0, 0.0

@@ -58,7 +58,7 @@ class Body:
 
     @property
     def photons_per_radiance(self) -> float:
-        """Photon rate at a pixel per radiance, in m² sr (docs/method.md#optics)."""
+        """Photon rate at a pixel, divided by the photon radiance, in m² sr (docs/method.md#optics)."""
         return self.optics.irradiance_per_radiance * self.pixel_pitch**2
 
     @property

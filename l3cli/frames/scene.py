@@ -59,19 +59,24 @@ class Scene:
     def __post_init__(self) -> None:
         bands = self.wavelength.size
         if self.polarisation is not None and self.polarisation.ratio.shape[:2] != self.reflectance.shape[:2]:
-            raise ValueError(f"scene {self.name}: the polarisation and the reflectances have different numbers of pixels")
+            raise ValueError(
+                f"scene {self.name}: the polarisation and the reflectances have different numbers of pixels; give them the "
+                "same rows and columns"
+            )
         if self.reflectance.ndim != 3 or self.reflectance.shape[2] != bands:
             raise ValueError(
-                f"scene {self.name}: reflectances with the shape {self.reflectance.shape} do not match {bands} wavelengths"
+                f"scene {self.name}: reflectances with the shape {self.reflectance.shape} do not match {bands} wavelengths; "
+                "use an array (row, col, wavelength)"
             )
         if bands > 1 and (np.diff(self.wavelength) <= 0).any():
-            raise ValueError(f"scene {self.name}: the wavelengths do not increase")
+            raise ValueError(f"scene {self.name}: the wavelengths do not increase; sort the bands and remove duplicates")
         if self.illuminant is not NO_ILLUMINANT and self.illuminant.shape != (bands,):
             raise ValueError(
                 f"scene {self.name}: an illuminant with the shape {self.illuminant.shape} does not match {bands} wavelengths"
+                "; give one value per wavelength"
             )
         if not np.isfinite(self.reflectance).all():
-            raise ValueError(f"scene {self.name}: some values are not finite")
+            raise ValueError(f"scene {self.name}: some values are not finite; replace NaN and infinity with valid values")
         brightest = BRIGHTEST_UNLIT if self.illuminant is NO_ILLUMINANT else MAX_TIMES_WHITE
         if float(np.max(self.reflectance, initial=0.0)) > brightest:
             raise ValueError(
@@ -101,7 +106,10 @@ class ChannelPicture:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.signal).all() and float(np.max(self.signal, initial=0.0)) <= MAX_TIMES_WHITE):
-            raise ValueError(f"scene {self.name}: some values are not finite or exceed {MAX_TIMES_WHITE:g}")
+            raise ValueError(
+                f"scene {self.name}: some values are not finite or exceed {MAX_TIMES_WHITE:g} times white; check the value "
+                "of white"
+            )
 
     @functools.cached_property
     def fingerprint(self) -> NDArray[np.float64]:

@@ -593,6 +593,6 @@ def _frames(capture: CaptureRecipe, body: Body, folder: Path) -> dict[str, Any]:
 
 
 def _chart(chart: ChartRecipe, patches: PatchRadiances, body: Body, folder: Path) -> dict[str, Any]:
-    """Return the arguments of ChartCapture or BandCapture for an entry in the measurement file."""
+    """Return the keyword arguments of ChartCapture or BandCapture for one chart in the measurement file."""
     corners = np.array(chart.corners, dtype=np.float64)
     return {**_frames(chart, body, folder), "illuminant": chart.illuminant, "corners": corners, **patches._asdict()}

@@ -271,7 +271,7 @@ class VideoWriter:
         return stream
 
     def _tag(self, where: Any) -> None:
-        """Set the colour space labels of an FFmpeg frame or codec context."""
+        """Set the colour primaries, transfer function, matrix and range of an FFmpeg frame or codec context."""
         names = pyav().video.reformatter
         where.color_primaries = names.ColorPrimaries.BT709
         where.color_trc = names.ColorTrc[self._encoding.transfer]
@@ -537,7 +537,7 @@ class Pacing:
 
     def __init__(self, unit: int | None, stated: StatedTimes | None = None, step: int = 1) -> None:
         self._unit, self.stated = unit, stated
-        # Unit of times in s; None for the duration of a frame.
+        # Duration of a tick in s. None if no times are stated, so that ticks are counted in frames.
         self.tick = None if stated is None else max(stated.tick / step, Fraction(1, FINEST))
         self._scale = Fraction(0) if stated is None or self.tick is None else stated.tick / step / self.tick
         self._first, self._last = 0, -1

@@ -74,7 +74,7 @@ def exposure_scale(luminance: Array) -> float:
 
 
 def scene_white(text: str) -> NDArray[np.float64]:
-    """Convert a chromaticity "x,y" or the name of an illuminant to the XYZ of white.
+    """Return the XYZ of a white that is given as a chromaticity "x,y" or as the name of an illuminant.
 
     Returns
     -------
@@ -186,7 +186,7 @@ def displayed_xyz(linear: Array) -> Array:
 
 
 def lab(xyz: Array, white: Array) -> Array:
-    """Convert XYZ (…, 3) to CIE L*a*b* in float64. `white` is the XYZ (3,) of white in the same unit."""
+    """Convert XYZ (…, 3) to CIE L*a*b* in float64. `white` is the XYZ (3,) of the reference white, in the same unit."""
     share = np.asarray(xyz, np.float64) / white
     root = np.where(share > (6 / 29) ** 3, np.cbrt(share), share * (29 / 6) ** 2 / 3 + 4 / 29)
     x, y, z = np.moveaxis(root, -1, 0)

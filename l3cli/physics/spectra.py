@@ -120,7 +120,7 @@ def _step_matrix(source: Array, grid: Array, extended: bool) -> Array:
     rising, aim = np.argsort(source), np.argsort(grid)
     low, high = source[rising], grid[aim]
     if min(np.diff(low, prepend=-np.inf).min(), np.diff(high, prepend=-np.inf).min()) <= 0:
-        raise ValueError("a wavelength occurs twice")
+        raise ValueError("a wavelength occurs twice; remove duplicate wavelengths")
     ends, known = bin_edges(high)[[0, -1]], bin_edges(low)[[0, -1]]
     first, last = ends if extended else (max(ends[0], known[0]), min(ends[1], known[1]))
     knots = np.unique(np.concatenate([[first, last], low, high]))

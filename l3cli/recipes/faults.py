@@ -88,8 +88,8 @@ def typed(content: dict[str, Any], recipe: type[R]) -> tuple[R | None, list[Faul
     Returns
     -------
     recipe : Recipe or None
-        The recipe, with valid examples in place of invalid values, so that the caller can check the remaining values. None
-        if msgspec rejects even the repaired content.
+        The recipe. Valid placeholders replace invalid values, so that the caller can check the remaining values. None if
+        msgspec rejects the content even with placeholders.
     faults : list of Fault
         The faults, in the order in which they were found. Empty if the recipe is valid.
     """

@@ -42,7 +42,7 @@ class Case:
 
     width: int
     height: int
-    patch: int  # window side of the first layer, in pixels
+    patch: int  # side of the first layer's window, in pixels
     cfa: str  # key of CFAS
     classes: str  # key of CLASSES
     outputs: int = 3  # 3 outputs are encoded as 8-bit sRGB, any other number is returned as float32

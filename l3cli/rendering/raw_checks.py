@@ -25,7 +25,7 @@ CLIPPED = 1e-3  # the sensor is assumed to clip if at least this fraction of the
 NEAR_BLACK = 0.75  # a value is near the black level if their ratio is between 0.75 and 1 / 0.75
 BLACK_PERCENTILE = 0.1  # in most pictures, this percentile of the values is near the black level
 SAME_DEPTH = 0.02  # white levels with a smaller relative difference belong to the same bit depth
-SHEARED = 1.5  # the size is probably wrong if swapping rows and columns makes neighbouring rows more similar by this factor
+SHEARED = 1.5  # the size is probably wrong if cols×rows pixels would make neighbouring rows more similar by this factor
 ROW_PAIRS = 64  # number of row pairs to compare
 
 NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # smallest fractions to report
@@ -302,7 +302,7 @@ def _fog(frame: RawFrame, table: TransformTable) -> str:
 
 
 def _torn(frame: RawFrame, period: int) -> str:
-    """Return a warning if the picture would be much smoother with rows and columns swapped, otherwise ""."""
+    """Return a warning if the values would form a much smoother picture of cols×rows pixels, otherwise ""."""
     rows, cols = frame.values.shape
     if not frame.exchangeable or rows == cols:
         return ""

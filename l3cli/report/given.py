@@ -26,7 +26,7 @@ class Entry:
 
     @property
     def array(self) -> tuple[Any, ...]:
-        """Key that identifies the artifact's channels and CFA. It is empty for a design, which contains many arrays."""
+        """Key that identifies the artifact's channels and CFA. It is empty for a design, which compares many CFAs."""
         if isinstance(self.artifact, Design):
             return ()
         of: Any = self.artifact.camera if isinstance(self.artifact, TrainingSet) else self.artifact

@@ -51,7 +51,7 @@ class Survey:
     sizes: Counter = field(default_factory=Counter)  # number of frames by size
     lights: dict = field(default_factory=dict)  # by illuminant: (white, luminance in cd/m², exposure in s) of each frame
     chromaticity: Array = field(default_factory=lambda: np.zeros((CELLS_PER_SIDE, CELLS_PER_SIDE)))  # (x, y) pixel counts
-    pairs: int = 0  # number of real frames, which are paired with targets
+    pairs: int = 0  # number of captured frames, which are paired with target pictures
 
 
 def training_section(reader: TrainingSetReader, name: str, role: str, limit: int, jpeg: Jpeg) -> Section:

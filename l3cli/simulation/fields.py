@@ -386,7 +386,7 @@ def _strokes(
     period, width = patterns.period[axis][label], patterns.width[axis][label]
     turns = position / period + patterns.phase[axis][label]
     number = np.floor(turns)
-    distance = abs(turns - number - 0.5) * period  # samples from the middle of the nearest stroke
+    distance = abs(turns - number - 0.5) * period  # distance from the middle of the nearest stroke, in samples
     covered = np.clip(0.5 + 0.5 * width - distance, 0.0, np.minimum(width, 1.0))
     return covered.astype(np.float32), number.astype(np.int64)
 

@@ -31,7 +31,7 @@ MATT_DEGREE = 0.1  # largest degree of matt leaves
 # lights, such as sky and sun, whose colours and angles of polarisation differ. If most leaves were polarised equally at all
 # wavelengths, a table of a colour camera would infer the polarisation of one colour from the pixels of the other colours.
 COLOURED = 0.8
-CALM = 0.2  # fraction of weakly polarised scenes, and the factor by which their degrees of polarisation are multiplied
+CALM = 0.2  # fraction of scenes with weak polarisation, and also the factor that reduces their degrees of polarisation
 RIM = 0.98  # limit of the sine of the angle of incidence near the rim of smooth leaves
 
 

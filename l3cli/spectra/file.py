@@ -198,13 +198,14 @@ def _numbers(
 
 
 def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurve, ...], tuple[str, ...]]:
-    """Return the digitised curves in a text (X and Y of each point), and their faults.
+    """Return the digitised curves in a text (X and Y of each point), and a message for each error in them.
 
     If there are no digitised curves, both results are empty. Programs for digitising plots write several curves in one of
     two forms:
 
-    1. The columns X and Y of all curves are next to each other. The heading has two lines, with the curve names above X, Y,
-       X, Y, …, or a single line with a word for wavelength and a name per curve.
+    1. The curves are side by side, each with a column for X and a column for Y. The heading has either two lines, with the
+       names of the curves above X, Y, X, Y, …, or one line, in which each column for X is headed by a word for wavelength
+       and each column for Y by the name of the curve.
     2. The curves follow one another, each with its own heading.
     """
     numeric = [_is_number(row[0], decimal_comma) for row in cells]
@@ -405,7 +406,7 @@ class SpectrumFormat:
 
 
 def read_table(path: Path) -> CurveTable:
-    """Read a file of spectra in any format of FORMATS.
+    """Read a file of spectra in one of the FORMATS.
 
     Parameters
     ----------
@@ -420,7 +421,8 @@ def read_table(path: Path) -> CurveTable:
     Raises
     ------
     InputFileError
-        If the file does not exist or is invalid, or if the wavelengths are implausible in their unit, by default nm.
+        If the file does not exist or is invalid, or if the wavelengths are implausible in the stated unit. The
+        unit is nm if the file states none.
     """
     if path.suffix.lower() in SPDX:
         return _spdx("", path)

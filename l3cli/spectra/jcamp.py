@@ -1,9 +1,9 @@
 """Read optical spectra from JCAMP-DX files (versions 4.24 and 5) with one block or several linked blocks.
 
 A block is a list of records `##LABEL= value`. The data are in the record XYDATA or XYPOINTS. XYDATA has the form
-(X++(Y..Y)): each line contains an abscissa, the ordinate at this abscissa, and further ordinates in equal steps. XYPOINTS
-has the form (XY..XY), with pairs of numbers. Numbers are decimals (AFFN), but ordinates may be compressed in one of the ASDF
-forms:
+(X++(Y..Y)): each line contains an abscissa, the ordinate at this abscissa, and the ordinates at the following abscissas,
+which are equally spaced. XYPOINTS has the form (XY..XY), with pairs of numbers. Numbers are decimals (AFFN), but ordinates
+may be compressed in one of the ASDF forms:
 
 =====  ==========================================================================  =======================
 PAC    signs separate the numbers: +1-2+3

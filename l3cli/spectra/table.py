@@ -15,7 +15,7 @@ from l3cli.spectra import units
 
 # Plausible peak radiances in photons/s/sr/m²/nm, from the smallest that a pixel detects to the largest that a lamp emits.
 DIMMEST, BRIGHTEST = 1e6, 1e24
-RELATIVE = ("relative", "relative photons", "relative power")  # "units" of radiances without an absolute scale
+RELATIVE = ("relative", "relative photons", "relative power")  # values of "units" for radiances without an absolute scale
 AMPERES_PER_WATT = {"A": 1, "J": -1, "s": 1}  # exponents of the base units in A/W
 VISIBLE = 400.0, 700.0  # visible range in nm
 # A curve is dark below DARK_FRACTION of its peak in the visible range, and below DARK_FRACTION_OUTSIDE outside.

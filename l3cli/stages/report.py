@@ -365,7 +365,7 @@ def _pixels(
 
 
 def chart_subsection(frame: TrainingPair, number: int, planes: dict[str, NDArray], head: TrainingSet) -> Subsection | None:
-    """Create a figure and a table about the ColorChecker in a frame. Returns None if the frame does not show a chart.
+    """Create a figure and a table of the colour errors on the ColorChecker in a frame, or return None without a chart.
 
     Parameters
     ----------
@@ -374,7 +374,7 @@ def chart_subsection(frame: TrainingPair, number: int, planes: dict[str, NDArray
     number : int
         Index of the frame in the training set.
     planes : dict of str to ndarray, (output, row, col)
-        Outputs of each pipeline for this frame. The first entry is the table.
+        Outputs of each pipeline for this frame. The first pipeline is the transform table.
     head : TrainingSet
         Header of the training set.
     """

@@ -8,7 +8,7 @@ from importlib.metadata import EntryPoint, entry_points
 from l3cli.errors import L3Error
 
 BASELINES, NOISE = "l3cli.baselines", "l3cli.noise"  # entry-point groups
-NAME = re.compile(r"[\w.-]+")  # permitted entry-point names, because file names contain them
+NAME = re.compile(r"[\w.-]+")  # pattern of entry-point names, which become part of file names
 
 
 def plugins(group: str) -> dict[str, EntryPoint]:

@@ -85,12 +85,16 @@ def shrunk(
 
 
 def parents_of(sums: ClassSums, rule: ClassRule) -> ClassSums:
-    """Compute each parent's mean sums per patch (docs/method.md#classes-with-few-patches).
+    """Compute the sums per patch that supplement classes with few patches (docs/method.md#classes-with-few-patches).
 
-    A parent pools all classes with the same level, contrast and saturation case. If these classes have no patches, it is the
-    mean over all contrasts at this level. The result is blended with the mean over all levels of the saturation case, which
-    has more weight if the level has few patches. The returned `count` is the number of patches with the parent's level and
-    saturation case.
+    There is one parent for each level, contrast and saturation case. Its sums are a weighted mean of two terms:
+
+    1. the sums per patch of all classes with this level, contrast and saturation case. If these classes have no patches, all
+       contrasts are included;
+    2. the sums per patch of all classes with this saturation case, at any level and contrast. The fewer patches the level
+       has, the larger is the weight of this term.
+
+    The returned `count` is the number of patches with the level and saturation case of each parent, at any contrast.
     """
     first = np.unique(rule.case(np.arange(rule.kinds)), return_index=True)[1]  # first kind of each saturation case
 

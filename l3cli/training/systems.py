@@ -76,8 +76,9 @@ def solve_within(equations: Equations, ridge: float, member: Array, integers: In
 def fits(transforms: Array, white: Array, integers: Integers) -> NDArray[np.bool_]:
     """Whether each class's transform fits the planes' integer formats.
 
-    If there are three outputs, the transforms are first converted to transforms to planes. If there are more, the transforms
-    are tested directly. This test is stricter, because outputs are larger than their leading components.
+    Transforms with three outputs are first converted, so that they compute opponent planes. Transforms with more outputs are
+    tested without conversion. This test is stricter, because the planes of these tables (`LeadingComponents`) are weighted
+    means of the outputs, and none is larger than the largest output.
 
     Parameters
     ----------

@@ -7,7 +7,8 @@
 
 INLINE uints size_of(ints value) { return SAME_BITS(value > 0 ? value : -value, uints); }
 
-// Returns the structure of a pixel from weighted sums of gradient products (xx, yy, xy) and the gradient word `turns`.
+// Returns the structure of a pixel. xx, yy and xy are weighted sums of gradient products. The gradient word `turns` (gradient.cl) contains the
+// orientation of the site.
 INLINE uints structure_of(uints xx, uints yy, ints xy, uints turns, __global const uint *strength_edges) {
     const uints trace = xx + yy;
     uints strength = 0;

@@ -28,8 +28,8 @@
 #define PAIR_PLACE(x) (2 * ((x) / (2 * PAIR) * PAIR + (x) % PAIR) + (x) / PAIR % 2)  // index of pixel x if sorted by pair
 
 // The following functions add up the lanes of several vectors at the same time. Each step halves the number of vectors. Vectors consist of groups
-// of four lanes. In brackets such as [a b a b], each letter is the vector from which a lane of a group comes. SHUFFLE_FOURS combines lanes i, j, k
-// and l of corresponding groups in u and v.
+// of four lanes. A list such as [a b a b] tells from which vector each of the four lanes comes. SHUFFLE_FOURS builds each group of its result from
+// lanes i, j, k and l of the same group in u and v, where lanes of v are counted from LANES.
 #if LANES == 16
 #define SHUFFLE_FOURS(u, v, i, j, k, l) __builtin_shufflevector(u, v, i, j, k, l, i + 4, j + 4, k + 4, l + 4, \
     i + 8, j + 8, k + 8, l + 8, i + 12, j + 12, k + 12, l + 12)

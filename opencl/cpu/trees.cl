@@ -90,7 +90,7 @@ INLINE void weigh_rows(Columns *to, const Products *r[ROWS], const Planes *q[PLA
     }
 }
 
-// Weighted sums over five columns from `at` (wide), and over the middle three of them.
+// Weighted sums over the five columns that start at `at` (wide), and over the three columns in the middle of these (narrow).
 INLINE ints wide(const int *at) { return AT(at, 0) + AT(at, 4) + 2 * (AT(at, 1) + AT(at, 3)) + 3 * AT(at, 2); }
 INLINE ints narrow(const int *at) { return AT(at, 1) + AT(at, 3) + 2 * AT(at, 2); }
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from l3cli.frames.measurement import CurveStatistics, FinishedCurves
 from l3cli.physics import spectra
 
-WAVELENGTH = np.arange(400.0, 721.0, 10.0)  # nm; all published curves of cameras cover this range
+WAVELENGTH = np.arange(400.0, 721.0, 10.0)  # nm; all published camera responsivities cover this range
 ROLES = ("r", "g", "b")  # channels of the measured cameras
 MODES = 16  # number of principal components of measured cameras; more components would not change the results
 # The prior of measured cameras includes smooth deviations: their fraction of the variance, and correlation length in nm.

@@ -309,7 +309,7 @@ def _under_lights(photographs: Sequence[Photograph], among: Sequence[Prior]) -> 
 
 
 def _priors(measurements: Measurements) -> list[Prior]:
-    """Return the possible priors of the camera."""
+    """Return the priors that may describe the camera's responsivities."""
     known = measurements.cameras
     table = known if known is None or isinstance(known, CurveStatistics) else priors.statistics(known)
     return plausible(measurements.body.channels, table)

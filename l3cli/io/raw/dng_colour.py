@@ -25,7 +25,7 @@ KELVIN = {  # value of CalibrationIlluminant (Exif LightSource) → correlated c
     15: 3525.0, 16: 2925.0, 17: 2856.0, 18: 4874.0, 19: 6774.0, 20: 5503.0, 21: 6504.0, 22: 7504.0, 23: 5003.0, 24: 3200.0,
 }  # fmt: skip
 MIREDS = np.arange(40.0, 1000.0, 0.25)  # search grid of reciprocal colour temperatures, in mired (10^-6/K)
-DECIMALS = 4  # decimals to which signals from AsShotWhiteXY are rounded, as in AsShotNeutral
+DECIMALS = 4  # decimals of a camera neutral that is computed from AsShotWhiteXY, as many as AsShotNeutral has
 # Tag numbers of IlluminantData1, 2 and 3, because the third number in tifffile is wrong.
 ILLUMINANT_DATA = {1: 52533, 2: 52534, 3: 52535}
 # Types of IlluminantData. Chromaticity: x and y. Spectrum: first wavelength in nm, step in nm, and power at each wavelength.

@@ -166,7 +166,7 @@ def _open(path: Path, stack: str | None = None) -> Any:
         _opened.clear()
         root = h5py.File(path, "r")
         if stack is not None:
-            # The cache is as large as the chunks of one frame, because chunks of earlier frames are not read again.
+            # A cache for the chunks of one frame is enough, because chunks of earlier frames are not read again.
             nbytes = min(CHUNK_CACHE, chunks_of_a_frame(root[stack], _axes(path, root[stack])))
             root.close()
             root = h5py.File(path, "r", rdcc_nbytes=nbytes)

@@ -63,7 +63,7 @@ class Layout:
 
     @property
     def exchangeable(self) -> bool:
-        """Whether a frame with rows and columns swapped would have the same number of bytes."""
+        """Whether a frame of cols×rows pixels would have the same number of bytes."""
         padded = self.stride is not None and self.stride != self.row_bytes
         return not padded and self.frame_bytes == replace(self, rows=self.cols, cols=self.rows, stride=None).frame_bytes
 

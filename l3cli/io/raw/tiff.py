@@ -93,15 +93,15 @@ def read_page(path: Path, number: int) -> RawContent:
 
 
 def _require_frames(path: Path, spec: Any, count: int) -> None:
-    """Raise InputFileError if the pages are probably not frames.
+    """Raise InputFileError if the pages are probably not separate raw frames.
 
-    Pages are rejected if they are the channels of a picture according to the image description from ImageJ, tifffile or OME,
-    or if they have so few columns that the axes are probably in a different order (see `frame_axes`).
+    Pages are rejected if ImageJ, tifffile or OME metadata describe them as the channels of a single picture, or if they have
+    so few columns that the axes are probably in a different order (see `frame_axes`).
     """
     text = spec.get_string_attribute("ImageDescription")
     channels = re.search(r"^channels=([0-9]{1,9})$", text, re.MULTILINE) if text.startswith("ImageJ=") else None
     channels = channels or re.search(r'<Pixels [^>]*SizeC="([0-9]{1,9})"', text)
-    # More than MOST_CHANNELS channels are frames, because by default, tifffile describes the frames in a stack as channels.
+    # More than MOST_CHANNELS channels are probably frames: by default, tifffile describes the frames of a stack as channels.
     if (channels and 1 < int(channels[1]) <= MOST_CHANNELS) or re.match(r"""\{.*"axes": "[A-Z]*C[A-Z]*\"""", text):
         raise InputFileError(
             f"{path}: according to the image description, the pages are the channels of one picture; save one raw frame per "

@@ -232,9 +232,9 @@ def _read_hdf5(path: Path) -> Content:
 
 @isolated("h5py", "scipy.io")
 def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the arrays that `read_content` returns, by their paths in the file, such as "a" or "a/b".
+    """Return the shapes of the arrays that `read_content` returns. The keys are paths in the file, such as "a" or "a/b".
 
-    Only headers are read, except that structs in MATLAB files before version 7.3 must be read completely.
+    Only headers are read, except for structs in MATLAB files older than version 7.3, which must be read completely.
     """
     import h5py
 

@@ -27,7 +27,7 @@ MIN_FREE_BYTES = 16 << 20  # required free space, several times the size of one 
 MAX_EMPTY_FILE_SECONDS = 86400  # older empty cache files are removed, because each process with PoCL 3.0 leaves one
 INSTALL = 'install a driver with: pip install "pyopencl[pocl]"'
 LINKER = "ld"  # PoCL calls this linker, and aborts the process if it or the libraries of a C compiler are missing
-REFUSES_PROCESSOR = "unknown target CPU"  # part of the error message of PoCL's compiler if the processor is too new
+REFUSES_PROCESSOR = "unknown target CPU"  # text in the error message of PoCL's compiler if the processor is too new
 DAMAGED = "INVALID_KERNEL_NAME"  # PoCL's error for a program from a damaged cache file
 FORKED = (
     "this process was forked from a process that uses OpenCL, and OpenCL would hang here; start processes with "

@@ -473,9 +473,9 @@ class OpenCLRenderer:
             work.add(CHROMA, self._chroma.smooth(track, band, encoding, result, frame, gain, {**ending, **shaded}))
 
     def _first_outputs(self, track: Track, band: Band, frame: RawFrame, work: Work) -> tuple[Any, ...]:
-        """Enqueue the kernel for the first layer's outputs, which the last layer corrects.
+        """Enqueue the kernel that computes the first layer's outputs, which the last layer corrects.
 
-        Return a tuple with their buffer.
+        Return the buffer of these outputs in a tuple.
         """
         (rows, columns), step = band.shape(0), self._layers[0]
         size = 4 * len(self.table.outputs) * rows * columns

@@ -48,7 +48,7 @@ class Chunks:
         """
         chunks = chunks_of(place)
         self._filters = {chunk: self._filters.get(chunk) or self._make() for chunk in chunks}
-        made = [self._filters[chunk].filtered(frame) for chunk in chunks]  # made[1], if any, is in the next chunk's lead-in
+        made = [self._filters[chunk].filtered(frame) for chunk in chunks]  # made[1], if any: lead-in of the next chunk
         return made[0]
 
 

@@ -264,7 +264,9 @@ def _between(now: WhiteBalance, wanted: WhiteBalance, share: float) -> WhiteBala
     return WhiteBalance(gains, matrix, now.luminance * (wanted.luminance / now.luminance) ** share)
 
 
-GREY_LEVEL = 0.4  # brightest channel of rendered grey areas, as a fraction of full scale; every table is well trained there
+# Signal of the brightest channel in rendered grey areas, as a fraction of full scale. Every table is well trained at this
+# level.
+GREY_LEVEL = 0.4
 MAX_GAIN = 8.0  # largest channel gain; a channel that needs more contains mostly noise
 SURFACES = 64  # number of measured reflectances to which the colour correction is fitted
 UNSURE = 1e-3  # expected error of rendered colours; its square is the ridge penalty of this fit

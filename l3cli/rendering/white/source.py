@@ -256,7 +256,7 @@ class WhiteSource(Protocol):
 
     @property
     def about(self) -> str:
-        """Description of the method for messages, such as "measured on a ColorChecker"."""
+        """How the white point was determined, for messages: for example "measured on a ColorChecker"."""
         ...
 
     @property

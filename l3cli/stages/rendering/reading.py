@@ -95,7 +95,10 @@ class FrameReader:
                 yield replace(measured, is_filtered=filtered and measured.frame is not None)
 
     def _listed(self) -> Iterator[FrameTask]:
-        """Yield a task for each frame before it is read, marked as finished if its picture is finished."""
+        """Yield a task for each frame, without reading the frame.
+
+        The task is marked as finished if the picture is already finished, or if the frame is not to be rendered.
+        """
         references = itertools.islice(self._sequence.frames, last_read(self._job))
         for place, reference in enumerate(references):
             is_counted = self._sequence.renders(place)

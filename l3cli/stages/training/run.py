@@ -219,11 +219,19 @@ def _cached_or_read(source: TrainingSource, wanted: Iterable[int]) -> Iterator[T
 def _common_head(training: tuple[Path, ...], noisy: bool) -> tuple[TrainingSet, tuple[int, ...]]:
     """Return the header that all training sets share, and the number of frames in each set.
 
+    Parameters
+    ----------
+    training : tuple of Path
+        Files of the training sets.
+    noisy : bool
+        Whether the class recipe keeps the full noise of the frames. If False, the noise is reduced, which is possible only
+        for simulated frames.
+
     Raises
     ------
     InputFileError
-        If the sets have different cameras or targets, or if a set contains real pairs although `noisy` is False. The noise
-        of real pairs cannot be changed.
+        If the sets have different cameras or targets, or if `noisy` is False and a set contains real pairs, whose raw frames
+        were captured with a camera.
     """
     frames, head = [], None
     for path in training:

@@ -395,7 +395,7 @@ def _split_side(layer: LayerPass) -> int:
 
 
 def are_samples(layer: LayerPass, samples: dict[int, TreeSamples]) -> bool:
-    """Check that `samples`, one frame's entry, has the types and shapes that `sample_tree` returns."""
+    """Return whether one frame's tree samples, by CFA site, have the types and shapes that `sample_tree` returns."""
     width, sites = PLANES * _split_side(layer) ** 2 + OUTPUTS, layer.reading(1).canonical
     return all(
         site in sites
@@ -426,6 +426,7 @@ def tree_rule(
     Returns
     -------
     TreeRule
+        Class rule with the tests, thresholds and branches of the tree, which all CFA sites share.
     """
     sites = sorted({site for sample in samples for site in sample})
     tree = grow(
