@@ -164,7 +164,7 @@ def test_sums_for_low_noise_are_those_of_all_sites(bayer: CameraModel, tmp_path:
     with pytest.raises(InputFileError, match="sums of one or more sites"), open_partial_sums(tmp_path / "less.h5"):
         pass
     layer, _ = some_layer_sums(bayer)
-    with pytest.raises(ValueError, match="gradients must contain one scale"):
+    with pytest.raises(ValueError, match="gradients must contain a GradientScale"):
         dataclasses.replace(layer, table=with_low_noise(layer.table))
 
 
