@@ -88,7 +88,7 @@ class PlaneClasses(GradientScale):
 
     @property
     def structures(self) -> int:
-        """Number of structures or tree leaves, which classes distinguish only if no channel clips."""
+        """Number of structures or tree leaves, which distinguish only classes without clipped channels."""
         raise NotImplementedError
 
     @property

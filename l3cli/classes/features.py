@@ -1,7 +1,7 @@
 """The features of a class rule, and the interfaces of the modules that implement them.
 
 Every class rule has the basic features level, contrast, saturation and chroma. Training and the kernels contain special code
-for these four. For example, a level with few patches borrows patches from neighbouring levels, and classes with clipped
+for these four. For example, a class with few patches also uses the sums of neighbouring levels, and classes with clipped
 channels are trained on greys.
 
 A class recipe enables an additional feature with a table of the same name (`ClassRecipe`). The feature's module contains the

@@ -122,7 +122,7 @@ RAW_SIDE, GREY_SIDE = 400, 160  # pixels; sides of the raw frames of the grey ta
 KNOWN = "lens and pixel"  # name of the theoretical MTF curve, for a diffraction-limited lens and the pixel aperture
 DRAWN = 8  # number of random cameras
 CORRELATED = 30.0  # nm; correlation length of the errors in the random cameras' responsivity curves
-SIGMAS_95 = 1.96  # half width of a 95 % band, in standard deviations
+SIGMAS_95 = 1.96  # half width of a 95 % confidence band, in standard deviations
 PATCHES = 4, 6  # rows and columns of the chart that the random cameras photograph
 MARGIN_PIXELS = 24  # margin of a frame that is not evaluated
 
@@ -286,7 +286,7 @@ def grey_document(camera: CameraModel, noise: GreyNoise, lux: Array, raw: Array,
 
 
 def drawn_cameras(camera: CameraModel, rng: np.random.Generator) -> list[CameraModel]:
-    """Draw random cameras whose responsivity curves deviate from `camera` within its 95 % band.
+    """Draw random cameras whose responsivity curves deviate from `camera` as its 95 % confidence bands predict.
 
     The deviations are normally distributed and independent between channels. Their correlation at a wavelength difference of
     CORRELATED is exp(−1/2).

@@ -110,10 +110,10 @@ class VideoChoice:
 
     rate: Fraction  # frames per second
     bits: int  # bits per value of the pictures: 8 or 16
-    codec: str | None = None  # key of ENCODINGS; None for the file suffix's default
+    codec: str | None = None  # key of ENCODINGS, or None for the default codec of the file suffix
     crf: float | None = None  # constant rate factor for h264 and h265; None for the encoder's default
     preset: str = "veryfast"  # speed preset for h264 and h265
-    tick: Fraction | None = None  # unit of frame times in s; None for the duration of a frame
+    tick: Fraction | None = None  # duration of a tick of the frame times in s, or None if a tick is one frame
 
 
 def is_video(path: Path) -> bool:

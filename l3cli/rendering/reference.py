@@ -403,7 +403,7 @@ def smoothed_chroma(
     white: NDArray[np.float64],
     least: NDArray[np.float64] | float = -np.inf,
 ) -> NDArray[np.float64]:
-    """Average the chroma of each pixel with similar neighbours, then raise pixels that are too dark.
+    """Average the chroma of each pixel with similar neighbours, then raise the luminance of pixels that are too dark.
 
     The averaging does not change the luminance. For a pixel p, its neighbours q (CHROMA_NEIGHBOURS and
     FAR_CHROMA_NEIGHBOURS), and X_w and Z_w of `white`:

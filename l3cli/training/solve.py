@@ -1,14 +1,14 @@
 """Solve the first layer's transforms from the accumulated sums (docs/method.md#solution).
 
-The transform of each class is a Wiener filter. Classes with few patches borrow statistics in three ways
+The transform of each class is a Wiener filter. Classes with few patches are supplemented in three ways
 (docs/method.md#classes-with-few-patches):
 
 * **Neighbouring levels.** The sums of the neighbouring levels are added with weights below 1. They are a good substitute,
   because samples are normalised by their level, and transforms change slowly with level.
 * **Pseudo-patches.** A class with fewer patches than taps has no unique solution. A class with slightly more patches
   overfits their noise. Therefore, the mean sums of the class's *parent* are added, with the weight of `parent_patches`
-  patches. The parent pools all chromas with the same level, contrast and saturation case. In a class with many patches, the
-  pseudo-patches have hardly any effect. A class without patches gets its parent's transform.
+  patches. The parent is mainly the mean over all classes with the same level, contrast and saturation case. In a class with
+  many patches, the pseudo-patches have hardly any effect. A class without patches gets its parent's transform.
 * **Nearest class.** If the parent has no patches either, the class uses the transform of the nearest solved class.
 """
 
@@ -33,9 +33,9 @@ from l3cli.training.sums import moment_matrix, turned_places, width_of
 from l3cli.training.symmetry import Turn
 
 Array = NDArray[np.float64]
-# A parent blends the mean over its own level with the mean over all levels of its saturation case. The weight of the mean
-# over all levels is 1 if the parent's level has no patches, 0.55 for THIN_PARENT patches, and CASE_SHARE in the limit of
-# many patches.
+# A parent is a weighted mean of two terms: the mean over its own level, and the mean over all levels of its saturation case.
+# The weight of the second term is 1 if the parent's level has no patches, 0.55 for THIN_PARENT patches, and approaches
+# CASE_SHARE for many patches.
 CASE_SHARE = 0.1
 THIN_PARENT = 100.0
 
@@ -183,8 +183,9 @@ def solve(
     """Solve the transforms of one canonical site, class by class, by least squares.
 
     The solution is T = Y Xᵀ (X Xᵀ + Λ)⁻¹. Each column of X contains the taps of a training patch, and the same column of Y
-    contains its target. Λ is the weighted noise covariance. Classes with few patches borrow statistics from neighbouring
-    levels and parents. If neither a class nor its parent has patches, the class has no solution.
+    contains its target. Λ is the weighted noise covariance. The sums of classes with few patches are supplemented with the
+    sums of neighbouring levels and of their parents. If neither a class nor its parent has patches, the class has no
+    solution.
 
     Parameters
     ----------
@@ -204,6 +205,7 @@ def solve(
     Returns
     -------
     Solution
+        The optimal taps of each class, and how they change if the response is constrained.
 
     Raises
     ------

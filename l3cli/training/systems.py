@@ -77,8 +77,8 @@ def fits(transforms: Array, white: Array, integers: Integers) -> NDArray[np.bool
     """Whether each class's transform fits the planes' integer formats.
 
     Transforms with three outputs are first converted, so that they compute opponent planes. Transforms with more outputs are
-    tested without conversion. This test is stricter, because the planes of these tables (`LeadingComponents`) are weighted
-    means of the outputs, and none is larger than the largest output.
+    tested without conversion. This test is stricter, because no plane of such a table (`LeadingComponents`) is larger than
+    the largest output relative to white.
 
     Parameters
     ----------

@@ -111,7 +111,7 @@ class DeviceSpectra:
 
 
 class DeviceChroma:
-    """Kernels that smooth chroma, raise pixels that are too dark, and write outputs or pictures.
+    """Kernels that smooth chroma, raise the luminance of pixels that are too dark, and write outputs or pictures.
 
     Each kernel is compiled for the first frame that uses it.
     """

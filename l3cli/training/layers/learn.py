@@ -1,9 +1,10 @@
 """Train a refinement layer: accumulate the sums and solve the transforms (docs/method.md#learning-on-mosaics).
 
-As in the first layer, classes with few samples borrow statistics from other classes. An unsaturated class also uses samples
-from classes with neighbouring levels and strengths. Every class uses pseudo-samples from its *parent*, a weighted mean of
-many classes. The parent of an unsaturated class is mainly the mean over all unsaturated classes with the same level. The
-parent of a saturated class is a mean over all classes with the same saturation case, with larger weights for nearby levels.
+As in the first layer, the sums of classes with few samples are supplemented with the sums of other classes. An unsaturated
+class also uses samples from classes with neighbouring levels and strengths. Every class uses pseudo-samples from its
+*parent*, a weighted mean of many classes. The parent of an unsaturated class is mainly the mean over all unsaturated classes
+with the same level. The parent of a saturated class is a mean over all classes with the same saturation case, with larger
+weights for nearby levels.
 """
 
 import functools

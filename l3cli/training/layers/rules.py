@@ -135,6 +135,7 @@ def grow(sites: Sequence[TreeSamples], leaves: int, mapped: Mapped = map) -> Tre
     Returns
     -------
     Tree
+        Nodes in the order in which they were created, starting with the root.
     """
     sites = [one.on_grid() for one in sites]
     test, threshold, branch, depth = [0], [np.float32(0)], [0], [0]
@@ -313,6 +314,7 @@ def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> Gr
     Returns
     -------
     GradientScale
+        The factors, one per level of the first layer.
     """
     squares, count = np.sum([np.zeros((2, layer.rule.levels)), *noise], axis=0)
     known = np.flatnonzero((count >= min(MIN_LEVEL_PIXELS, count.max())) & (squares > 0))
