@@ -365,7 +365,7 @@ def _pixels(
 
 
 def chart_subsection(frame: TrainingPair, number: int, planes: dict[str, NDArray], head: TrainingSet) -> Subsection | None:
-    """Create a figure and a table of the colour errors on the ColorChecker in a frame, or return None without a chart.
+    """Create a figure and a table of the colour errors on a frame's ColorChecker. Returns None without a chart.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-// Smooths chroma by averaging a pixel with similar neighbours, without changing the luminance. Then raises the luminance of pixels
-// that are much darker than the raw values around them. The reference is l3cli/rendering/reference.py. The macros CHROMA_ROWS and CHROMA_COLUMNS list the offsets of
-// the NEIGHBOURS neighbours, of which the first NEAR_NEIGHBOURS are near. The first four are the diagonal neighbours.
+// Smooths chroma by averaging a pixel with similar neighbours, without changing the luminance. Then raises the luminance of pixels that are
+// much darker than the raw values around them. The reference is l3cli/rendering/reference.py. The macros CHROMA_ROWS and CHROMA_COLUMNS list
+// the offsets of the NEIGHBOURS neighbours, of which the first NEAR_NEIGHBOURS are near. The first four are the diagonal neighbours.
 
 // A pixel, scaled so that few operations are needed to compute the weight of a neighbour. The weight is zero if the sum of the squared scaled
 // differences in luminance, X and Z is at least 1.
