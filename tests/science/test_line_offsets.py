@@ -115,8 +115,10 @@ def scene_of(kind: str) -> Array:
     }[kind]
 
 
-KINDS = ("uniform", "horizon", "faint horizon", "blurred horizon", "sky", "waves", "shading", "blinds", "faint blinds")
-KINDS += ("fainter blinds", "lines", "chart")
+KINDS = (
+    "uniform", "horizon", "faint horizon", "blurred horizon", "sky", "waves", "shading", "blinds", "faint blinds",
+    "fainter blinds", "lines", "chart",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("ratio", [0.5, 2.0])
