@@ -45,6 +45,7 @@ from l3cli.physics.spaces import SRGB, Curve
 from l3cli.rendering.display import linear_matrix, require_known_layers, shown_adaptation
 from l3cli.rendering.exposure import NOISE_WHERE_CLIPPED
 from l3cli.rendering.opencl.layout import source_folder
+from l3cli.rendering.opencl.smoothing import NEIGHBOUR_MACROS
 from l3cli.rendering.reference import MAX_CONTRAST, SMOOTHING_DARKEST, raising_constants
 from l3cli.rendering.white.scene_white import WhiteBalance, Whites
 from l3cli.rendering.white.source import usual_balance
@@ -227,7 +228,7 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
         smoothing, (white_x, white_z) = table.chroma_smoothing, table.white_point[::2] / table.white_point[1]
         factors = {"LUMINANCE": smoothing.reach, "X": smoothing.likeness * white_x, "Z": smoothing.likeness * white_z}
         values |= {f"BY_{name}": _float(1 / limit**2) for name, limit in factors.items()}
-        values["MAX_CONTRAST"] = _float(MAX_CONTRAST)
+        values |= NEIGHBOUR_MACROS
         values["DARKEST"] = _float(SMOOTHING_DARKEST * (2 ** output_fraction(table) if words == "int16" else 1))
         values |= {
             f"{name.upper()}": _float(at) if isinstance(at, float) else at for name, at in raising_constants(table).items()

@@ -12,9 +12,9 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.line_offsets import without_picture_offsets
 from l3cli.io.frames import FrameFiles
-from l3cli.io.raw.files import RawOverrides, frame_of, read_raw, read_stack
 from l3cli.simulation.sensor import expose
 from tests.helpers.paths import CONFIGS
+from tests.helpers.raw_files import read_in_every_way
 
 ROWS, COLS = 300, 1536
 SIGNAL = {"bayer": 120.0, "fiveband": 264.0}  # e-; 0.02 of full scale
@@ -228,22 +228,11 @@ def test_every_way_to_read_gives_the_same_frame(tmp_path: Path) -> None:
     values = taken(camera, np.full((ROWS, COLS), 120.0))[1]
     expected = corrected(camera, values)
     assert (expected != values).mean() > 0.5
-    np.save(tmp_path / "one.npy", values)
-    values.tofile(tmp_path / "one.raw")
-    np.save(tmp_path / "several.npy", np.array([values, values]))
-    stack = read_stack(tmp_path / "several.npy", camera, RawOverrides())
-    assert stack is not None
-    content = stack.read(1)
-    assert content is not None
-    for frame in (
-        raw_frame(values, camera),
-        read_raw(tmp_path / "one.npy", camera),
-        read_raw(tmp_path / "one.raw", camera),
-        frame_of("page", content, camera, RawOverrides()),
-    ):
+    for frame in (raw_frame(values, camera), *read_in_every_way(values, camera, tmp_path)):
         np.testing.assert_array_equal(frame.values, expected)
         assert frame.notes == ()
-    for_calibration = FrameFiles((tmp_path / "one.npy",), (ROWS, COLS), camera.bits, camera)
+    np.save(tmp_path / "dark.npy", values)
+    for_calibration = FrameFiles((tmp_path / "dark.npy",), (ROWS, COLS), camera.bits, camera)
     np.testing.assert_array_equal(next(iter(for_calibration)), values)
 
 

@@ -15,12 +15,13 @@ from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.masked import line_offsets
 from l3cli.io.frames import FrameFiles
-from l3cli.io.raw.files import RawOverrides, frame_of, read_raw, read_stack
+from l3cli.io.raw.files import RawOverrides, frame_of, read_raw
 from l3cli.rendering.temporal.noise import require_noise
 from l3cli.rendering.temporal.reference import ReferenceFilter
 from l3cli.simulation.sensor import FixedPattern, expose, fixed_pattern, read_out, with_masked
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.dng_files import LONG, write_dng
+from tests.helpers.raw_files import read_in_every_way
 
 SIDES = MaskedPixels(left=12, right=4, top=6, bottom=10)
 
@@ -119,21 +120,12 @@ def test_every_way_to_read_gives_the_same_frame(bayer: CameraModel, tmp_path: Pa
     camera = with_noise(bayer, MaskedPixels(left=8, top=4), column_temporal_noise=4.0)
     values = whole_frame(camera, 3)
     expected = raw_frame(values, camera)
-    np.save(tmp_path / "one.npy", values)
-    values.tofile(tmp_path / "one.raw")
-    np.save(tmp_path / "several.npy", np.array([values, values]))
-    stack = read_stack(tmp_path / "several.npy", camera, RawOverrides())
-    assert stack is not None
-    content = stack.read(1)
-    assert content is not None
     pattern = np.array([[0, 1], [1, 2]])
     areas = {50829: (LONG, [4, 8, 196, 264]), 50830: (LONG, [0, 8, 4, 264, 4, 0, 196, 8]), 50717: (LONG, [3814])}
     dng = write_dng(tmp_path / "one.dng", values, pattern, tags=areas)
     levels = RawOverrides(white_level=expected.white_level)
     for frame in (
-        read_raw(tmp_path / "one.npy", camera),
-        read_raw(tmp_path / "one.raw", camera),
-        frame_of("page", content, camera, RawOverrides()),
+        *read_in_every_way(values, camera, tmp_path),
         read_raw(dng, camera, levels),
         read_raw(dng, dataclasses.replace(camera, masked=None), levels),
     ):

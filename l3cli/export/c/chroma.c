@@ -1,10 +1,7 @@
 /* --------------------------------------------------------------------------------------------------------- smoothed chroma */
 
-#define REACHED 8 /* distance of the farthest neighbours in pixels */
+#define REACHED L3_CHROMA_REACH /* distance of the farthest neighbours in pixels */
 #define HELD (2 * REACHED + 1)
-#define NEIGHBOURS 16
-#define NEAR_NEIGHBOURS 8
-#define FAR_UNLIKE 4.0f /* factor for the squared difference in chroma of far neighbours */
 
 /* Copies of the latest rows of X, Y and Z, because the smoothed rows overwrite the outputs. Row r is at index r % HELD. It has REACHED
  * mirrored columns on both sides. */
@@ -37,32 +34,31 @@ static void keep_row(const Smoothing *s, int row, int rows, int columns, const L
 
 /* Writes X and Z of a row. `stride` is the distance between X, Y and Z in memory. */
 static void smooth_row(const Smoothing *s, int row, int rows, int columns, ptrdiff_t stride, L3Output *to) {
-    static const int down[NEIGHBOURS] = {-1, -1, 1, 1, -4, 4, 0, 0, -5, -5, 5, 5, -REACHED, REACHED, 0, 0};
-    static const int right[NEIGHBOURS] = {-1, 1, -1, 1, 0, 0, -4, 4, -5, 5, -5, 5, 0, 0, -REACHED, REACHED};
+    static const int down[] = {L3_CHROMA_ROWS}, right[] = {L3_CHROMA_COLUMNS};
     const ptrdiff_t span = s->span;
-    const L3Output *own = made_row(s, row) + REACHED, *there[NEIGHBOURS];
-    for (int n = 0; n < NEIGHBOURS; n++) there[n] = made_row(s, mirrored(row + down[n], rows, 1)) + REACHED + right[n];
+    const L3Output *own = made_row(s, row) + REACHED, *there[L3_NEIGHBOURS];
+    for (int n = 0; n < L3_NEIGHBOURS; n++) there[n] = made_row(s, mirrored(row + down[n], rows, 1)) + REACHED + right[n];
     for (int x = 0; x < columns; x++) {
         const float own_x = (float)own[x], luminance = (float)own[span + x], own_z = (float)own[2 * span + x];
         if (luminance <= L3_DARKEST) continue;
         float differences = 0;
-        for (int n = 0; n < NEAR_NEIGHBOURS; n++) {
+        for (int n = 0; n < L3_NEAR_NEIGHBOURS; n++) {
             const float its = (float)there[n][span + x];
             differences += luminance > its ? luminance - its : its - luminance;
         }
-        const float contrast = differences / NEAR_NEIGHBOURS, most = L3_MAX_CONTRAST * luminance;
+        const float contrast = differences / L3_NEAR_NEIGHBOURS, most = L3_MAX_CONTRAST * luminance;
         const float inverse = 1 / (luminance + (contrast < most ? contrast : most)), square = inverse * inverse;
         const float by_black = 1 / (luminance * luminance), fourth = square * by_black;
         const float by_brighter = L3_BY_LUMINANCE * square, by_darker = by_brighter > by_black ? by_brighter : by_black;
         const float by_x = L3_BY_X * fourth, by_z = L3_BY_Z * fourth;
         float divisor = luminance, change_x = 0, change_z = 0;
-        for (int n = 0; n < NEIGHBOURS; n++) {
+        for (int n = 0; n < L3_NEIGHBOURS; n++) {
             const float its = (float)there[n][span + x], brighter = its - luminance;
             const float unlike_x = (float)there[n][x] * luminance - own_x * its;
             const float unlike_z = (float)there[n][2 * span + x] * luminance - own_z * its;
             const float unlike = unlike_x * unlike_x * by_x + unlike_z * unlike_z * by_z;
             const float by_luminance = brighter > 0 ? by_brighter : by_darker;
-            const float left = 1 - brighter * brighter * by_luminance - (n < NEAR_NEIGHBOURS ? 1.0f : FAR_UNLIKE) * unlike;
+            const float left = 1 - brighter * brighter * by_luminance - (n < L3_NEAR_NEIGHBOURS ? 1.0f : L3_FAR_UNLIKE) * unlike;
             const float positive = left > 0 ? left : 0, weight = positive * positive;
             divisor += weight * its;
             change_x += weight * unlike_x;

@@ -1,4 +1,4 @@
-"""Training of refinement layers, and the work of each process for these layers (docs/method.md#layers)."""
+"""Train refinement layers (docs/method.md#layers), with the work divided among processes."""
 
 import itertools
 from collections.abc import Iterator
@@ -22,7 +22,8 @@ from l3cli.training.sums import same_shapes
 from l3cli.training.table import finished_layer, layer_pass
 from l3cli.training.training_pass import spread_patches
 
-UNITS_PER_PROCESS = 8  # more units would make progress smoother, but take longer, because each unit sends a set of sums
+# With more units, progress would be shown in smaller steps, but training would take longer, because every unit returns sums.
+UNITS_PER_PROCESS = 8
 
 
 def learn_refinement_layers(
@@ -73,20 +74,24 @@ def layer_mosaics(run: TrainingRun, number: int) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class LayerUnit:
-    """A work unit for a refinement layer: some blocks of frames."""
+    """Work that one process does at a time for a refinement layer: several blocks of frames."""
 
     training: tuple[TrainingSource, ...]
-    remote: bool  # whether the worker is on another machine and must verify the bytes of its files
+    remote: bool  # whether the process runs on another machine, where it must check that its files have the same bytes
     layer: LayerPass
     known: GradientScale | PlaneRule | None  # part of the class rule that is already known
     blocks: list[range]  # ranges of frames
 
 
 def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: PlaneRule | None = None) -> PlaneRule:
-    """Determine the class rule of a refinement layer in a pilot pass over all frames.
+    """Determine the class rule of a refinement layer. A pilot pass over all frames measures what the rule depends on.
 
-    If `like` is set, its classes are reused, and the pilot pass determines only the gradient scale. If the noise is also the
-    camera's own noise, the pilot pass is skipped.
+    Parameters
+    ----------
+    like : PlaneRule, optional
+        Class rule of the same layer for the camera's own noise. If it is set, its classes are used, and the pilot pass only
+        adapts the gradient scale to the noise of `layer.camera`. No pilot pass is needed if this noise is the camera's own
+        noise. [default: a new class rule]
     """
     if like is not None and (layer.camera.gain, layer.camera.noise_left) == (run.head.camera.gain, 1):
         return like
@@ -116,7 +121,7 @@ def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: P
 def summed_layer(
     run: TrainingRun, layer: LayerPass, rule: PlaneRule, blocks: list[range], execution: Execution
 ) -> dict[int, LayerSums]:
-    """Sum the normal equations of a refinement layer over blocks of frames, separately for each canonical site."""
+    """Compute the normal equations of a refinement layer, summed over blocks of frames, for each canonical site."""
     sums = no_sums(layer, rule)
     units = _units(run, layer, rule, blocks, execution)
     for part in execution.console.progress(execution.pool(_sum, units, _are_sums), len(units), f"layer {layer.number}"):
