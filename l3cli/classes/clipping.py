@@ -45,10 +45,11 @@ MIN_SIGNAL = 0.02  # smallest signal used as a divisor, as a fraction of full sc
 # The weight of the surrounding hue is L / (L + D). L is the similarity of the surroundings, as a fraction of its maximum.
 # D is HUE_DOUBT plus GREY_DOUBT times the squared similarity of the clipped block to white.
 HUE_DOUBT, GREY_DOUBT = 0.05, 3.0
-SPREADS = 4  # number of steps in which the estimates of clipped blocks spread over uniform areas
-SPREAD_REACH = 32  # distance in pixels over which one step spreads the estimates
+# Distances in pixels over which the estimates of clipped blocks spread over uniform areas, one per step. The last step is
+# shorter. Otherwise, blocks at different multiples of a distance would never be averaged, and skies would have bands.
+SPREAD_DISTANCES = (32, 32, 32, 32, 32, 16)
 MAX_CHANGE = 0.6  # mean squared relative difference of the unclipped channels at which estimates stop spreading
-WHITE_DOUBT = 0.002  # ridge that limits the amount of white in the mixture with the surrounding colour
+WHITE_DOUBT = 0.001  # ridge that limits the amount of white in the mixture with the surrounding colour
 MAX_HUE = 10.0  # largest X/Y and Z/Y of a hue
 Array = NDArray[np.float64]
 
@@ -236,15 +237,15 @@ def hue_spacing(side: int) -> int:
     return max(HUE_REACH // (HUE_STEPS * side), 1)
 
 
-def spread_spacing(side: int) -> int:
-    """Return how far one step spreads the estimates, in blocks of `side` pixels."""
-    return max(SPREAD_REACH // side, 1)
+def spread_spacings(side: int) -> tuple[int, ...]:
+    """Return how far each step spreads the estimates, in blocks of `side` pixels."""
+    return tuple(max(distance // side, 1) for distance in SPREAD_DISTANCES)
 
 
 def reach(cfa: NDArray[np.uint8]) -> int:
     """Return the number of rows above and below a pixel that can affect its values in `clipping_maps`."""
     side = block_sides(cfa)[0]
-    return (HUE_STEPS * hue_spacing(side) + SPREADS * spread_spacing(side) + 3) * side
+    return (HUE_STEPS * hue_spacing(side) + sum(spread_spacings(side)) + 3) * side
 
 
 @dataclass(frozen=True)
@@ -361,13 +362,12 @@ def estimated_maps(
     plain = np.zeros(signals.shape[1])
     uniform, _, uniformity, _ = plain_blocks(means, spread)
     plain[uniform] = uniformity
-    half = [spread_spacing(side) // 2 for side in sides]
-    for _ in range(SPREADS):
+    for down, right in zip(*map(spread_spacings, sides), strict=True):
         best = reliability[numbers].copy()
         likeness, total = best.copy(), best * estimates[:, numbers]
         for i, j in [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]:
-            there, inside = blocks.neighbour(i * spread_spacing(sides[0]), j * spread_spacing(sides[1]))
-            between, _ = blocks.neighbour(i * half[0], j * half[1])
+            there, inside = blocks.neighbour(i * down, j * right)
+            between, _ = blocks.neighbour(i * (down // 2), j * (right // 2))
             signal, alike = blocks.scaled(estimates[:, there])
             weight = inside * plain[numbers] * plain[between] * plain[there] * partial * reliability[there]
             weight *= np.maximum(alike - blocks.change(signals[:, there]) / MAX_CHANGE, 0.0)

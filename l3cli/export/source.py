@@ -280,7 +280,7 @@ def _clipped_white(table: TransformTable, fraction: int) -> dict[str, int | str]
     }
 
 
-def _clipping_known(table: TransformTable) -> dict[str, float | int]:
+def _clipping_known(table: TransformTable) -> dict[str, float | int | str]:
     """Return the constants for clipped areas, by name."""
     rows, columns = clipping.block_sides(table.cfa)
     return {
@@ -304,9 +304,9 @@ def _clipping_known(table: TransformTable) -> dict[str, float | int]:
         "hue_grey_doubt": clipping.GREY_DOUBT,
         "hue_most": clipping.MAX_HUE,
         "hue_white_doubt": clipping.WHITE_DOUBT,
-        "spreads": clipping.SPREADS,
-        "spread_rows": clipping.spread_spacing(rows),
-        "spread_columns": clipping.spread_spacing(columns),
+        "spreads": len(clipping.SPREAD_DISTANCES),
+        "spread_rows": ", ".join(map(str, clipping.spread_spacings(rows))),
+        "spread_columns": ", ".join(map(str, clipping.spread_spacings(columns))),
         "spread_change": clipping.MAX_CHANGE,
     }
 

@@ -332,11 +332,11 @@ INLINE void store_maps_of(int y, int x, __global const float *restrict means, __
     store_estimates(y, x, means, response, estimates, rows, columns);
 }
 
-// Spreads the estimates `from` one step farther over uniform areas, and stores the new estimates in `to`. The last step also stores the hue
-// in `maps`, and adds the estimated outputs to the first four maps.
+// Spreads the estimates `from` over uniform areas, by `down` rows and `across` columns of blocks, and stores the new estimates in `to`. The
+// last step also stores the hue in `maps`, and adds the estimated outputs to the first four maps.
 INLINE void spread_at(int y, int x, __global const float *restrict means, __global const float *restrict response,
                       __global const float *restrict uniformity, __global const float *restrict from, __global float *restrict to,
-                      __global float *restrict maps, int last, int rows, int columns) {
+                      __global float *restrict maps, int down, int across, int last, int rows, int columns) {
     const size_t plane = (size_t)rows * columns, at = (size_t)y * columns;
     floats best = blocks_at(from + CHANNELS * plane + at, x, columns), alike;
     const ints chosen = best != NOT_ESTIMATED;
@@ -353,11 +353,11 @@ INLINE void spread_at(int y, int x, __global const float *restrict means, __glob
     const floats own = blocks_at(uniformity + at, x, columns), plain = chosen ? own * (1.0f - block.least) : (floats)0.0f;
     const floats by_change = 1.0f / (opens * MAX_CHANGE);
     for (int n = 0; n < 9; n++) {
-        const int i = n / 3 - 1, j = n % 3 - 1, line = y + i * SPREAD_ROWS, right = x + j * SPREAD_COLUMNS;
+        const int i = n / 3 - 1, j = n % 3 - 1, line = y + i * down, right = x + j * across;
         if (n == 4 || line < 0 || line >= rows) continue;
-        const size_t there = (size_t)line * columns, between = (size_t)(y + i * (SPREAD_ROWS / 2)) * columns;
+        const size_t there = (size_t)line * columns, between = (size_t)(y + i * (down / 2)) * columns;
         floats weight = plain * blocks_at(uniformity + there, right, columns);
-        weight *= blocks_at(uniformity + between, x + j * (SPREAD_COLUMNS / 2), columns);
+        weight *= blocks_at(uniformity + between, x + j * (across / 2), columns);
         if (!any_lane(weight > 0.0f)) continue;
         floats reliable = blocks_at(from + CHANNELS * plane + there, right, columns), change = 0.0f, brightest = 0.0f;
         const ints estimated = reliable != NOT_ESTIMATED;

@@ -63,8 +63,9 @@ KERNEL_OF_ONE map_blocks(__global const float *restrict means, __global const fl
 
 KERNEL_OF_ONE spread_estimates(__global const float *restrict means, __global const float *restrict response,
                                __global const float *restrict uniformity, __global const float *restrict from, __global float *restrict to,
-                               __global float *restrict maps, int last, int rows, int columns) {
-    EACH_OF_TILE spread_at(y, x, means, response, uniformity, from, to, maps, last, rows, columns);
+                               __global float *restrict maps, int down, int across, int last, int rows,
+                               int columns) {
+    EACH_OF_TILE spread_at(y, x, means, response, uniformity, from, to, maps, down, across, last, rows, columns);
 }
 
 // Number of blocks in a row from which LANES quads are interpolated.

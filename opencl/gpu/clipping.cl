@@ -29,9 +29,10 @@ KERNEL_OF_TILE map_blocks(__global const float *restrict means, __global const f
 
 KERNEL_OF_TILE spread_estimates(__global const float *restrict means, __global const float *restrict response,
                                 __global const float *restrict uniformity, __global const float *restrict from,
-                                __global float *restrict to, __global float *restrict maps, int last, int rows, int columns) {
+                                __global float *restrict to, __global float *restrict maps, int down, int across, int last, int rows,
+                                int columns) {
     ITS_PLACE;
-    spread_at(y, x, means, response, uniformity, from, to, maps, last, rows, columns);
+    spread_at(y, x, means, response, uniformity, from, to, maps, down, across, last, rows, columns);
 }
 
 KERNEL_OF_TILE read_maps(__global const float8 *restrict maps, __global float *restrict to, int first, int block_rows,

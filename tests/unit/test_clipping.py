@@ -212,6 +212,28 @@ def test_an_over_exposed_sky_keeps_its_hue_far_from_unclipped_sky(name: str, mos
     assert np.abs((np.stack(maps, 1)[far] / taken[far, None] - truth) / of_white).mean() < most
 
 
+@pytest.mark.parametrize("name", ["bayer", "fiveband"])
+def test_a_large_over_exposed_sky_has_no_bands(name: str) -> None:
+    """The signals rise in steps of 2 % of full scale, as in a picture with few levels. Steps of the hue must stay small."""
+    camera, radiance, white, to_signals, clipping = learned(name)
+    blue = np.interp(camera.wavelength, [400, 480, 600, 700], [0.6, 0.6, 0.2, 0.15])[:, None]
+    length = 440
+    brightness, share = np.linspace(0.6, 1.3, length), np.linspace(0, 0.6, length)
+    signals = to_signals.T @ (radiance[:, None] * ((1 - share) * blue + share))
+    exact = brightness / (signals[:, 0].max() / 0.9) * signals
+    rows, cols = np.indices((length, 48))
+    channel = camera.cfa[rows % camera.cfa.shape[0], cols % camera.cfa.shape[1]]
+    values = np.minimum(np.round(50 * exact) / 50, 1.0)[channel, rows]
+    mosaic = Mosaic((60000 * values).astype(np.uint16), camera.cfa, 0.0, 60000.0)
+    taken, *maps = clipping_maps(mosaic, clipping.response, clipping.white)[4:, :, 24]
+    partly = (exact.max(axis=0) > 1) & (exact.min(axis=0) < 0.85)
+    far = np.flatnonzero(partly)[100:]  # rows that are at least 100 pixels from unclipped sky
+    assert far.size > 30
+    assert taken[far].min() > 0.7
+    hue = np.stack(maps)[:, far] / taken[far] * (white[1] / white[::2])[:, None]
+    assert np.abs(hue[:, 4:] - hue[:, :-4]).max() < 0.05
+
+
 def test_a_white_that_clips_keeps_its_hue_beside_vivid_surfaces() -> None:
     camera, radiance, _, to_signals, clipping = learned("bayer")
     signals = radiance @ to_signals

@@ -206,11 +206,15 @@ static void estimate_block(const float *means, int y, int x, int rows, int colum
     estimate(&block, total, made);
 }
 
+/* Distances in blocks over which the steps spread the estimates */
+static const int spread_rows[L3_SPREADS] = {L3_SPREAD_ROWS}, spread_columns[L3_SPREADS] = {L3_SPREAD_COLUMNS};
+
 static float within_hue(float ratio) { return ratio < 0 ? 0 : ratio > L3_HUE_MOST ? L3_HUE_MOST : ratio; }
 
-/* Spreads the estimates `from` one step farther over uniform areas, and stores the new estimate of block (y, x) in `to`. The last step also
-   stores the hue in `maps`, and adds the estimated outputs to the first four maps. */
-static void spread_block(const float *means, const float *from, int y, int x, int rows, int columns, int last, float *to, float *maps) {
+/* Spreads the estimates `from` over uniform areas, by `down` rows and `across` columns of blocks, and stores the new estimate of block
+   (y, x) in `to`. The last step also stores the hue in `maps`, and adds the estimated outputs to the first four maps. */
+static void spread_block(const float *means, const float *from, int y, int x, int rows, int columns, int down, int across, int last,
+                         float *to, float *maps) {
     const ptrdiff_t at = (ptrdiff_t)y * columns + x;
     const float *own = from + at * (L3_CHANNELS + 1);
     float *made = to + at * (L3_CHANNELS + 1), *map = maps + at * MAPS;
@@ -220,10 +224,10 @@ static void spread_block(const float *means, const float *from, int y, int x, in
     const Clipped block = clipped_block(means + at * (L3_CHANNELS + 1));
     for (int c = 0; c < L3_CHANNELS; c++) total[c] = best * own[c];
     for (int n = 0; n < 9; n++) {
-        const int i = n / 3 - 1, j = n % 3 - 1, row = y + i * L3_SPREAD_ROWS, column = x + j * L3_SPREAD_COLUMNS;
+        const int i = n / 3 - 1, j = n % 3 - 1, row = y + i * down, column = x + j * across;
         if (n == 4 || row < 0 || row >= rows || column < 0 || column >= columns) continue;
         const ptrdiff_t there = (ptrdiff_t)row * columns + column;
-        const ptrdiff_t between = (ptrdiff_t)(y + i * (L3_SPREAD_ROWS / 2)) * columns + x + j * (L3_SPREAD_COLUMNS / 2);
+        const ptrdiff_t between = (ptrdiff_t)(y + i * (down / 2)) * columns + x + j * (across / 2);
         const float *mean = means + there * (L3_CHANNELS + 1), *estimated = from + there * (L3_CHANNELS + 1);
         float reliable = estimated[L3_CHANNELS], change = 0, opens = L3_CLIP_FAINTEST, brightest = 0;
         for (int c = 0; c < L3_CHANNELS; c++) {
@@ -290,8 +294,8 @@ static void replace_clipped(const Clipping *c, const uint16_t *padded, int rows,
     for (int step = 0; step < L3_SPREADS; step++)
         for (int y = 0; y < down; y++)
             for (int x = 0; x < across; x++)
-                spread_block(c->means, c->estimates[step % 2], y, x, down, across, step == L3_SPREADS - 1,
-                             c->estimates[1 - step % 2], c->maps);
+                spread_block(c->means, c->estimates[step % 2], y, x, down, across, spread_rows[step], spread_columns[step],
+                             step == L3_SPREADS - 1, c->estimates[1 - step % 2], c->maps);
     for (int y = 0; y < rows; y++)
         for (int x = 0; x < columns; x++) {
             float low, side, made[MAPS];

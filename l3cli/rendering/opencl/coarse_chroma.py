@@ -10,7 +10,7 @@ import numpy as np
 
 from l3cli.artifacts.layers import CoarseChroma
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.clipping import MAPS, QUAD, SPREADS, block_sides, first_bright
+from l3cli.classes.clipping import MAPS, QUAD, block_sides, first_bright, spread_spacings
 from l3cli.classes.coarse_chroma import BLOCK, SPACINGS, scales_of
 from l3cli.classes.planes import LUMINANCE
 from l3cli.frames.frame import RawFrame
@@ -159,9 +159,10 @@ class DeviceClipping:
         events = [self._run(measure, track, blocks, track.raw, cfa, track.means, *levels, *map(np.int32, where))]
         (made, other), means = track.estimates, track.means
         events.append(self._run(make_maps, track, blocks, means, response, track.maps, track.uniformity, made))
-        for step in range(SPREADS):
-            buffers, last = (means, response, track.uniformity, made, other, track.maps), np.int32(step == SPREADS - 1)
-            events.append(self._run(spread, track, blocks, *buffers, last))
+        steps = list(zip(*map(spread_spacings, block_sides(table.cfa)), strict=True))
+        for number, spacing in enumerate(steps, 1):
+            buffers, last = (means, response, track.uniformity, made, other, track.maps), number == len(steps)
+            events.append(self._run(spread, track, blocks, *buffers, *map(np.int32, (*spacing, last))))
             made, other = other, made
         where = band.reads[len(band.later) - 1].start, *blocks, *shape
         events.append(self._run(read, track, quads, track.maps, track.quads, *map(np.int32, where)))

@@ -283,8 +283,6 @@ def clipping_macros(table: TransformTable) -> Macros:
         "HUE_WEIGHTS": (clipping.HUE_STEPS + 1) ** 4,
         "HUE_ROWS": clipping.hue_spacing(rows),
         "HUE_COLUMNS": clipping.hue_spacing(columns),
-        "SPREAD_ROWS": clipping.spread_spacing(rows),
-        "SPREAD_COLUMNS": clipping.spread_spacing(columns),
         "BLOCK_ROWS": rows,
         "BLOCK_COLUMNS": columns,
         "MAX_RAW": 2**table.bits - 1,
