@@ -271,7 +271,7 @@ def _opened(answer: Any, fits: Callable[[Any], bool], worker: Callable[[], str])
     try:
         failed, value = pickle.loads(answer)
     except Exception as error:
-        raise L3Error(f"worker {worker()} sent an answer that cannot be read ({_line(error)}); {_REPLACE}") from error
+        raise L3Error(f"worker {worker()} returned an invalid reply ({_line(error)}); {_REPLACE}") from error
     if isinstance(value, ImportError):
         raise _missing(value)
     if failed and isinstance(value, REPORTED):

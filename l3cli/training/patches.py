@@ -410,7 +410,7 @@ def expose_patches(
         noisy -= offsets.variance * gain**2
         np.maximum(noisy, 0, out=noisy)
     elif camera.has_line_noise:
-        raise ValueError("the camera has line noise; pass `offsets` drawn from it")
+        raise ValueError("the camera has row or column noise; pass `offsets` with random offsets")
     np.sqrt(noisy, out=noisy)
     noisy *= _normal(signal.shape, rng)
     if offsets is not None:

@@ -210,7 +210,7 @@ class ChartWhite:
         if located is None or located.fit < MIN_R_SQUARED:
             raise InputFileError(
                 f"{frame.name}: no ColorChecker with {rows}×{cols} patches found; set ‹white› to the ROW,COL of a grey "
-                "area, or take a photo with a larger, sharp and evenly lit chart"
+                "area, or take a photo in which the chart is larger, in focus and evenly lit"
             )
         greys = list(_greys(frame, located))
         usable = [grey for grey in greys if self._whites.grey.usable(frame, grey)]

@@ -338,8 +338,8 @@ def note_unknown_fields(run: SimulationRun, files: list[list[Path]], console: Co
     if found:
         first = next(iter(found.values()))
         console.info(
-            f"{first}: l3 ignores the unknown field{'s' if len(found) > 1 else ''} {listed(found)} in the header; if this "
-            "changes the meaning of the values, convert the data first"
+            f"{first}: l3 ignores the unknown field{'s' if len(found) > 1 else ''} {listed(found)} in the header; "
+            "if such a field changes the meaning of the values, convert the values before you use the file"
         )
 
 

@@ -62,8 +62,9 @@ def warn_of_left_out_layers(run: TrainingRun, console: Console) -> None:
         outputs = ", ".join(run.head.outputs)
         console.report(
             f"the refinement layers of the recipe are skipped, because they do not apply to the outputs {outputs}; a table "
-            "with three outputs, of which the second is the luminance, can have any number of layers, a spectral table one "
-            "layer without coarse_chroma or leaves, and a table with colours and Stokes parameters one layer without leaves"
+            "with three outputs can have refinement layers if the second output is the luminance, a spectral table can have "
+            "one layer without coarse_chroma and leaves, and a table with colours and Stokes parameters can have one layer "
+            "without leaves"
         )
 
 
