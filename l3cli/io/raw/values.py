@@ -69,8 +69,8 @@ def scaled_dn(name: str, values: NDArray, black: float | None, white: float | No
         )
     if not black < white or (float(values.max()) < FULL_SCALE_ONE and white >= LEAST_DN_LEVEL):
         raise InputFileError(
-            f"{name} contains {found}, but ‹black_level› is {black:g} and ‹white_level› is {white:g}, which cannot be correct; "
-            "set both levels in the units of the file"
+            f"{name} contains {found}, but ‹black_level› is {black:g} and ‹white_level› is {white:g}; set both levels "
+            "in the units of the file"
         )
     dn = SCALED_BLACK + (values.astype(np.float64) - black) * ((SCALED_WHITE - SCALED_BLACK) / (white - black))
     return np.clip(np.rint(dn), 0, TOP).astype(np.uint16)
