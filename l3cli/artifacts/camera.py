@@ -210,6 +210,24 @@ class Polarisers:
 
 
 @dataclass(frozen=True)
+class PolariserField:
+    """Deviations of single pixels from their channels, in polarised light (docs/method.md#polarisers-of-single-pixels).
+
+    Angle, extinction ratio and gain of a pixel determine its response to S0, S1 and S2.
+    """
+
+    response_deviation: NDArray[np.int16] = data(
+        "int16",
+        "sensor_row",
+        "sensor_col",
+        "stokes",
+        unit="2^-15",
+        doc="response of each pixel to S0, S1 and S2, minus the mean response of its channel, divided by the mean response "
+        "to S0; 0: not measured",
+    )
+
+
+@dataclass(frozen=True)
 class Noise:
     """Noise of the sensor, referred to the photodiode (docs/method.md#sensor)."""
 
@@ -517,6 +535,8 @@ class CameraModel(Artifact):
     polarisers : Polarisers or None
         Polarisers in front of the pixels. None if no channel has a polariser. If a channel has a polariser, its
         `responsivity` applies to light polarised along the transmission axis.
+    polariser_field : PolariserField or None
+        Deviations of single pixels' polarisers. None if they were not measured.
     masked : MaskedPixels or None
         Masked pixels around the light-sensitive pixels. None if the frames contain no masked pixels.
     noise_left : float
@@ -570,6 +590,7 @@ class CameraModel(Artifact):
     readout: Readout | None = group(default=None)
     gains: AnalogGains | None = group(default=None)
     polarisers: Polarisers | None = group(default=None)
+    polariser_field: PolariserField | None = group(default=None)
     masked: MaskedPixels | None = group(default=None)
     noise_left: float = 1.0
     lines_corrected: bool = False
@@ -595,6 +616,8 @@ class CameraModel(Artifact):
             )
         if self.flat_field and not self.flat_field.covers(self.rows, self.cols):
             raise ValueError(f"the flat field does not cover the {self.rows}×{self.cols} pixels of the sensor")
+        if self.polariser_field and self.polariser_field.response_deviation.shape != (self.rows, self.cols, 3):
+            raise ValueError(f"the polariser field does not cover the {self.rows}×{self.cols} pixels of the sensor")
 
     @property
     def summary(self) -> str:
@@ -682,6 +705,12 @@ class CameraModel(Artifact):
         response = np.zeros((len(self.channels), 3, self.wavelength.size))
         response[:, 0] = 1.0
         return response
+
+    @property
+    def relative_stokes_response(self) -> NDArray[np.float64]:
+        """Response (channel, stokes) to S0, S1 and S2, divided by the response to S0, in light with equal photons per nm."""
+        total = self.stokes_weights.sum(axis=2)
+        return np.asarray((total / total[0]).T)
 
     @property
     def electron_weights(self) -> NDArray[np.float64]:

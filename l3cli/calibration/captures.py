@@ -307,7 +307,7 @@ def correct_by_frames(camera: CameraModel, measurements: Measurements) -> Camera
         behind the polariser are unsuitable.
     """
     if measurements.polariser:
-        fit = measure_polarisers(measurements, _figures_of(camera))
+        fit = measure_polarisers(measurements, figures_of(camera))
         measured = polarisers.polarisers_of(fit, measurements.body, camera.wavelength)
         camera = replace(camera, polarisers=measured, fit=replace(camera.fit or Fit(), polarisers=fit))
     if not measurements.whites:
@@ -449,26 +449,30 @@ def measure_polarisers(
     captures, body = measurements.polariser, measurements.body
     if not captures:
         return None
-    exposures = [capture.exposure for capture in captures]
+    electronics = electronics_of(measurements, sensor)
+    return polarisers.measure_polarisers(captures, measurements.rotator, body, electronics, each)
+
+
+def electronics_of(measurements: Measurements, sensor: Sensor | SensorFigures) -> polarisers.Electronics:
+    """Return the sensor properties that are needed to evaluate the captures behind a rotating polariser."""
+    body, exposures = measurements.body, [capture.exposure for capture in measurements.polariser]
     if isinstance(sensor, Sensor):
-        electronics = polarisers.Electronics(
+        return polarisers.Electronics(
             dark=sensor.dark.black_level + np.outer(exposures, sensor.dark.slope),
             saturation=sensor.saturation,
             gain=sensor.transfer.gain,
             dark_variance=sensor.dark.variance,
             defects=sensor.defects,
         )
-    else:
-        black_level, white_level = sensor.black_level, sensor.white_level
-        gain = sensor.gain * body.channel_gains
-        electronics = polarisers.Electronics(
-            dark=dark_levels(exposures, measurements.darks, body, black_level),
-            saturation=black_level + noise.SATURATED * (white_level - black_level),
-            gain=gain,
-            dark_variance=(gain * sensor.noise.dark_noise) ** 2,
-            defects=statistics.no_defects(),
-        )
-    return polarisers.measure_polarisers(captures, measurements.rotator, body, electronics, each)
+    black_level, white_level = sensor.black_level, sensor.white_level
+    gain = sensor.gain * body.channel_gains
+    return polarisers.Electronics(
+        dark=dark_levels(exposures, measurements.darks, body, black_level),
+        saturation=black_level + noise.SATURATED * (white_level - black_level),
+        gain=gain,
+        dark_variance=(gain * sensor.noise.dark_noise) ** 2,
+        defects=statistics.no_defects(),
+    )
 
 
 def check_polarisers(measurements: Measurements) -> None:
@@ -483,7 +487,7 @@ def check_polarisers(measurements: Measurements) -> None:
     """
     base, sensor = measurements.base, measurements.datasheet
     if base is not None:
-        sensor = _figures_of(base)
+        sensor = figures_of(base)
     elif sensor is None and measurements.darks:
         # The dark frames provide the black level. The noise affects only the weights of the captures, so any values are good
         # enough for this check.
@@ -492,7 +496,8 @@ def check_polarisers(measurements: Measurements) -> None:
         measure_polarisers(measurements, sensor)
 
 
-def _figures_of(camera: CameraModel) -> SensorFigures:
+def figures_of(camera: CameraModel) -> SensorFigures:
+    """Return gain, levels and noise of a camera."""
     return SensorFigures(camera.gain, camera.black_level, camera.white_level, camera.noise)
 
 

@@ -13,6 +13,7 @@ from l3cli.calibration.captures import (
     Charts,
     Sensor,
     correct_by_frames,
+    figures_of,
     fit_series,
     measure_charts,
     measure_polarisers,
@@ -22,6 +23,7 @@ from l3cli.calibration.captures import (
 )
 from l3cli.calibration.drift import DriftError, estimate_drift
 from l3cli.calibration.photo.responsivity import fit_photos
+from l3cli.calibration.pixel_polarisers import with_pixel_polarisers
 from l3cli.calibration.polarisers import with_polarisers
 from l3cli.calibration.responsivity import Curves, check_efficiency, efficiency
 from l3cli.calibration.statistics import Each, channel_shares
@@ -61,7 +63,8 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
     """
     body, drift = measurements.body, measurements.lamp_drift
     if measurements.base is not None:
-        return correct_by_frames(measurements.base, measurements)
+        camera = correct_by_frames(measurements.base, measurements)
+        return with_pixel_polarisers(camera, measurements, figures_of(measurements.base), each)
     if measurements.photos:
         return from_photos(measurements, each)
     if measurements.datasheet is not None:
@@ -93,7 +96,7 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
     fit = Fit(noise=figures, sweep=sweep_fit, chart=chart_fit, drift=drift_fit, polarisers=polariser_fit)
     camera = assemble(body, summarise(sensor, figures, body), curves, fit)
     camera = replace(camera, gains=measure_gains(measurements, camera, each))
-    return with_corrections(camera, sensor, body)
+    return with_pixel_polarisers(with_corrections(camera, sensor, body), measurements, sensor, each)
 
 
 def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = map) -> AnalogGains | None:
@@ -151,12 +154,13 @@ def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
         ) from error
     if not measurements.whites:
         polarisers = measure_polarisers(measurements, sensor, each)
-        return assemble(measurements.body, sensor, curves, Fit(photo=fit, polarisers=polarisers))
+        camera = assemble(measurements.body, sensor, curves, Fit(photo=fit, polarisers=polarisers))
+        return with_pixel_polarisers(camera, measurements, sensor, each)
     measured = measure_sensor(measurements, each)
     body, noise = measurements.body, describe_noise(measured, measurements.body)
     polarisers = measure_polarisers(measurements, measured, each)
     camera = assemble(body, summarise(measured, noise, body), curves, Fit(noise=noise, photo=fit, polarisers=polarisers))
-    return with_corrections(camera, measured, body)
+    return with_pixel_polarisers(with_corrections(camera, measured, body), measurements, measured, each)
 
 
 def from_data_sheet(measurements: Measurements, figures: SensorFigures, each: Each = map) -> CameraModel:
@@ -168,10 +172,12 @@ def from_data_sheet(measurements: Measurements, figures: SensorFigures, each: Ea
     body, drift, shift = measurements.body, measurements.lamp_drift, measurements.wavelength_uncertainty
     polarisers = measure_polarisers(measurements, figures, each)
     if measurements.curve is not None:
-        curves = responsivity.without_fit(measurements.curve, body, drift, shift)
-        return assemble(body, figures, curves, Fit(polarisers=polarisers))
-    curves, fit = fit_series(measurements.bands, measurements.darks, body, figures.black_level, figures.white_level)
-    return assemble(body, figures, curves.widened(drift, shift), Fit(series=fit, polarisers=polarisers))
+        curves, series = responsivity.without_fit(measurements.curve, body, drift, shift), None
+    else:
+        curves, series = fit_series(measurements.bands, measurements.darks, body, figures.black_level, figures.white_level)
+        curves = curves.widened(drift, shift)
+    camera = assemble(body, figures, curves, Fit(series=series, polarisers=polarisers))
+    return with_pixel_polarisers(camera, measurements, figures, each)
 
 
 # -------------------------------------------------------------------------------------------------------- fitting

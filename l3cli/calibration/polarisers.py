@@ -194,7 +194,7 @@ def measure_polarisers(
     mean, pixels, saturated = (np.array(values) for values in zip(*each(read, captures), strict=True))
     lit = np.array([capture.lit for capture in captures])[:, None]
     signal, used = mean - electronics.dark, saturated <= TOLERATED
-    variance = electronics.gain * np.maximum(signal, 0.0) + electronics.dark_variance + QUANTISATION
+    variance = noise_variance(signal, electronics)
     angle = np.array([capture.angle for capture in captures])
     _check_angles(angle, used, body)
     guess = first_guess(angle, signal / lit, used, np.ones(len(body.channels), bool), rotator.polarisation)
@@ -216,6 +216,11 @@ def measure_polarisers(
     if body.polarisers is not None and (wrong := contradiction(body, fit.angle)):
         raise InputFileError(wrong)
     return fit
+
+
+def noise_variance(signal: Array, electronics: Electronics) -> Array:
+    """Return the temporal variance of a pixel in DN², for signals (…, channel) in DN."""
+    return electronics.gain * np.maximum(signal, 0.0) + electronics.dark_variance + QUANTISATION
 
 
 def _means(capture: Capture, body: Body, saturation: float, defects: statistics.Defects) -> tuple[Array, Array, Array]:

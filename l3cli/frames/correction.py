@@ -20,6 +20,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.shading import CLIPPED, Shading, shading_of
+from l3cli.frames.super_pixels import SuperPixelCorrection, plan_super_pixels
 from l3cli.physics.mosaic import array_rows
 from l3cli.system.files import require_same
 
@@ -135,17 +136,19 @@ class Correction:
     shape: tuple[int, int]  # rows and columns of the camera's frames
     bad_pixels: BadPixelCorrection | None
     shading: Shading | None
+    super_pixels: SuperPixelCorrection | None = None
 
     @property
     def digest(self) -> str:
         """SHA-256 digest of all data in the correction that affect pictures."""
         parts = (self.bad_pixels.target, self.bad_pixels.source) if self.bad_pixels else ()
         gains = (self.shading.gain, self.shading.colour) if self.shading else ()
-        content = [each.tobytes() for each in (*parts, *gains) if each is not None]
+        coefficients = (self.super_pixels.coefficients,) if self.super_pixels else ()
+        content = [each.tobytes() for each in (*parts, *gains, *coefficients) if each is not None]
         return hashlib.sha256(repr(self.shape).encode() + b"".join(content)).hexdigest()
 
     def corrected(self, frame: RawFrame) -> RawFrame:
-        """Return the frame with bad pixels replaced, and with the shading correction from the camera's flat field, if any.
+        """Return the frame with bad pixels replaced, polarisers of single pixels corrected, and with the shading correction.
 
         The flat field takes precedence over a shading correction in the raw file. Raises InputFileError if the frame is not
         a full frame from this camera.
@@ -157,15 +160,18 @@ class Correction:
                 "pixels and starts at CFA site 0,0; set ‹camera› to the camera that took the frame"
             )
         values = frame.values if self.bad_pixels is None else self.bad_pixels.corrected(frame.values)
+        if self.super_pixels is not None:
+            values = self.super_pixels.corrected(values, frame.black_level + frame.dark, frame.white_level)
         return replace(frame, values=values, shading=self.shading or frame.shading)
 
 
 def correction_of(camera: CameraModel) -> Correction:
     """Return the corrections for a camera's frames.
 
-    Raises InputFileError if the camera has neither a defect map nor a flat field, or if too many pixels are defective.
+    Raises InputFileError if the camera has neither a defect map nor a flat field nor a polariser field, or if too many
+    pixels are defective.
     """
-    if camera.defects is None and camera.flat_field is None:
+    if camera.defects is None and camera.flat_field is None and camera.polariser_field is None:
         raise InputFileError(
             f"camera {camera.name} has neither a defect map nor a flat field; calibrate the camera with dark and white "
             "frames"
@@ -176,7 +182,7 @@ def correction_of(camera: CameraModel) -> Correction:
         bad[tuple(camera.defects.position.T)] = True
         bad_pixels = plan_correction(bad, camera.cfa)
     shading = None if camera.flat_field is None else shading_of(camera.flat_field, shape, camera.cfa)
-    return Correction(camera.name, shape, bad_pixels, shading)
+    return Correction(camera.name, shape, bad_pixels, shading, plan_super_pixels(camera))
 
 
 def _size(shape: tuple[int, ...]) -> str:

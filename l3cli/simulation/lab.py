@@ -6,20 +6,28 @@ A calibration from these measurements can be compared with the true camera.
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import MAX_WAVELENGTHS, CameraModel
+from l3cli.artifacts.camera import MAX_WAVELENGTHS, CameraModel, Polarisers
 from l3cli.artifacts.recipe_source import RecipeSource
 from l3cli.frames.measurement import CHART_COLS, CHART_ROWS, PATCHES
 from l3cli.physics import spectra
 from l3cli.physics.lens import relative_illumination
 from l3cli.recipes.faults import Fault, fault, refuse_first
 from l3cli.recipes.toml import MAX_COUNT, Count, CountOrNone, NotNegative, Positive, Recipe
-from l3cli.simulation.sensor import DefectRecipe, FixedPattern, defects_of, fixed_pattern, read_out, with_masked
+from l3cli.simulation.sensor import (
+    DefectRecipe,
+    FixedPattern,
+    SensorDefects,
+    defects_of,
+    fixed_pattern,
+    read_out,
+    with_masked,
+)
 
 # nm; the spectrometer covers the wavelengths of the camera and the monochromator plus this margin at each end
 SPECTROMETER_MARGIN = 5.0
@@ -186,6 +194,9 @@ class LabCapture:
     wavelength: Array  # (wavelength,), measured wavelengths in nm
     radiance: Array  # (spectrum, wavelength), measured photons/s/sr/m²/nm; only mono and chart captures have spectra
     angle: float = 0.0  # angle of the rotating polariser on its scale, in degrees
+    # (2, region, channel), electrons along and across the polarisers' axes, in unpolarised light of the same radiance
+    unpolarised: Array | None = None
+    stokes: tuple[float, float] = (0.0, 0.0)  # S1/S0 and S2/S0 of the light
 
 
 @dataclass(frozen=True)
@@ -213,6 +224,13 @@ class _Response:
         if polarisation:
             weights = weights + polarisation * np.tensordot([np.cos(twice), np.sin(twice)], self.per_polarised, 1)
         return radiance @ weights.T
+
+    def along_and_across(self, radiance: Array) -> Array:
+        """Split the rates in unpolarised light, (2, spectrum, channel), into parts along and across the polarisers' axes."""
+        difference = np.hypot(*self.per_polarised)
+        return np.stack(
+            [radiance @ part.T / 2.0 for part in (self.per_radiance + difference, self.per_radiance - difference)]
+        )
 
     def exposure_for(self, level: float, radiance: Array) -> float:
         """Return the exposure time in s at which the brightest channel reaches the fraction `level` of full scale.
@@ -275,6 +293,8 @@ class _Session:
                 wavelength=self.response.wavelength + self.shift,
                 radiance=seen,
                 angle=angle,
+                unpolarised=self.response.along_and_across(radiance) * exposure * lamp,
+                stokes=(polarisation * np.cos(2.0 * np.radians(turned)), polarisation * np.sin(2.0 * np.radians(turned))),
             )
         )
 
@@ -410,7 +430,11 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
     light = falloff(y[:, None], x, capture.falloff) * defects.shade
     light *= relative_illumination(camera.optics.image_distance, camera.pixel_pitch, shape).astype(np.float32)
     light[defects.dead[:, 0], defects.dead[:, 1]] = 0.0
-    electrons = capture.electrons[region, camera.channel_map(shape)] * light
+    channel = camera.channel_map(shape)
+    electrons = capture.electrons[region, channel]
+    if camera.polarisers is not None:
+        electrons = electrons + _polariser_deviation(camera.polarisers, capture, defects, region, channel)
+    electrons = electrons * light
     electrons[defects.hot[:, 0], defects.hot[:, 1]] += recipe.hot_current_e_per_s * capture.exposure
     pattern = fixed_pattern(camera)
     if defects.steps.size:
@@ -420,6 +444,23 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
         pattern = FixedPattern(pattern.prnu, offsets)
     pattern, electrons = with_masked(camera, pattern, electrons)
     return read_out(camera, pattern, electrons, capture.exposure, rng)
+
+
+def _polariser_deviation(
+    polarisers: Polarisers, capture: LabCapture, defects: SensorDefects, region: Any, channel: NDArray[np.uint8]
+) -> Array:
+    """Return the difference in photo-electrons, (row, col), between each pixel's polariser and its channel's polariser.
+
+    Behind a polariser at the angle θ, light with S1/S0 = p and S2/S0 = q causes A (1 + u) + B (1 − u) electrons, where A and
+    B are the electrons that unpolarised light causes along and across the axis, and u = p cos 2θ + q sin 2θ.
+    """
+    (first, second), angle = capture.stokes, polarisers.polariser_deg[channel]
+    nominal, actual = 2 * np.radians(angle), 2 * np.radians(angle + defects.turn)
+    before, after = (first * np.cos(twice) + second * np.sin(twice) for twice in (nominal, actual))
+    assert capture.unpolarised is not None
+    along, across = capture.unpolarised[:, region, channel]
+    ratio = np.where(polarisers.present[channel], defects.extinction, 1.0)
+    return np.asarray(along * (after - before) + across * ((1 - after) / ratio - (1 - before)))
 
 
 def falloff(y: Array, x: Array, missing: float) -> Array:
