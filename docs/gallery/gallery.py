@@ -2,8 +2,9 @@
 
 For every camera recipe of `l3 init`, or for the recipes in the arguments, a table is trained with the scene recipe SCENES
 and with the class recipe that `l3 init` selects. The table then renders a frame of scene.toml, which is not in the training
-set. If recipes are named, the entries of all other recipes in figures.json are kept. Several arrays are processed at the
-same time, each in one process, so that no process has to wait for another.
+set. Polarisation cameras have their own scene recipes, and pictures of the polarisation. If recipes are named, the entries
+of all other recipes in figures.json are kept. Several arrays are processed at the same time, each in one process, so that no
+process has to wait for another.
 """
 
 import argparse
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import OpenImageIO as oiio
+import polarised
 from page import page
 from pictures import Picture, drawing, enlarged, grid, labelled, raw_picture
 
@@ -87,8 +89,12 @@ def make(array: Array) -> tuple[dict[str, Any], float]:
     begin, (name, path, twins, jobs) = time.process_time(), array
     with tempfile.TemporaryDirectory(prefix="l3-gallery-") as folder:
         training, table, unseen = (Path(folder, f"{each}.h5") for each in ("training", "table", "unseen"))
-        l3cli.simulate(SCENES, path, training, jobs=jobs)
+        l3cli.simulate(name if name in polarised.OUTPUTS else SCENES, path, training, jobs=jobs)
         l3cli.train(training, table, classes=classes_of(path), jobs=jobs)
+        about = {"summary": summary(path), "classes": classes_of(path), "twins": twins}
+        if name in polarised.OUTPUTS:
+            l3cli.simulate(polarised.scenes_of(name, FOLDER / "scene.toml", Path(folder)), path, unseen)
+            return about | put_polarised(name, polarised.judged(table, unseen)), time.process_time() - begin
         l3cli.simulate(FOLDER / "scene.toml", path, unseen)
         head, pictures, figures = judged(table, unseen)
     write_whole(FOLDER / f"{name}.svg", drawing(head.camera).encode())
@@ -98,8 +104,16 @@ def make(array: Array) -> tuple[dict[str, Any], float]:
     write_whole(FOLDER / f"{name}_crop.png", png(grid([crops[:2], crops[2:]])))
     if name == FRONT:
         write_whole(FOLDER / FRONT_FILE, jpeg(front(pictures), FRONT_QUALITY))
-    about = {"title": head.camera.name, "summary": summary(path), "classes": classes_of(path), "twins": twins}
-    return about | {"figures": figures}, time.process_time() - begin
+    return about | {"title": head.camera.name, "figures": figures}, time.process_time() - begin
+
+
+def put_polarised(name: str, made: polarised.Judged) -> dict[str, Any]:
+    """Write the pictures of a polarisation camera. Return the remaining items of its entry for figures.json."""
+    crops = [[enlarged(picture, CROP, CROP_SIZE, FACTOR) for picture in row] for row in made.pictures]
+    write_whole(FOLDER / f"{name}.svg", drawing(made.head.camera).encode())
+    write_whole(FOLDER / f"{name}.jpg", jpeg(grid(made.pictures), QUALITY))
+    write_whole(FOLDER / f"{name}_crop.png", png(grid(crops)))
+    return {"title": made.head.camera.name, "polarisation": made.figures, "scale": made.scale}
 
 
 def front(pictures: dict[str, Picture]) -> Picture:

@@ -33,10 +33,54 @@ PICTURES = """![Filters and responsivities of {title}](gallery/{name}.svg)
 """
 
 
+POLARISED_HEAD = """## Polarisation cameras
+
+For [polarisation cameras](polarisation.md), the tables were trained with the scene recipe of the same name. The pictures
+show the same scene as above, in which most objects polarise light. The charts and the fine patterns do not polarise light.
+The metrics are the PSNR of S0 and of the degree of linear polarisation (DoLP), the RMS error of the angle (AoLP) where the
+DoLP exceeds 0.05, and the mean DoLP of unpolarised areas ([Metrics](metrics.md#polarisation)).
+
+*bilinear* interpolates each channel separately, and computes the Stokes parameters by least squares. For the colour camera,
+the luminance is the sum of red, green and blue that fits this scene best.
+
+"""
+POLARISED_PICTURES = """![Filters and responsivities of {title}](gallery/{name}.svg)
+
+The pictures from left to right are ideal, l3 and *bilinear*. The rows show the intensity, the DoLP from 0 (dark blue) to
+{scale:g} (yellow), and the AoLP as a hue.
+
+| Shown at original size |
+|---|
+| ![{title}. Intensity, DoLP and AoLP: ideal, l3 and bilinear](gallery/{name}.jpg) |
+
+| A part of the same pictures, enlarged 4 times |
+|---|
+| ![{title}, enlarged. Intensity, DoLP and AoLP: ideal, l3 and bilinear](gallery/{name}_crop.png) |
+"""
+
+
 def page(entries: Entries, scenes: str) -> str:
     """Return the text of docs/gallery.md."""
-    sections = [section(name, entry) for name, entry in entries.items()]
-    return HEAD.format(scenes=scenes) + table(entries) + "\n" + verdict(entries) + "\n\n" + "\n".join(sections)
+    polarised = {name: entry for name, entry in entries.items() if "polarisation" in entry}
+    colours = {name: entry for name, entry in entries.items() if name not in polarised}
+    sections = [section(name, entry) for name, entry in colours.items()]
+    text = HEAD.format(scenes=scenes) + table(colours) + "\n" + verdict(colours) + "\n\n" + "\n".join(sections)
+    if polarised:
+        text += "\n" + POLARISED_HEAD + "\n".join(polarised_section(name, entry) for name, entry in polarised.items())
+    return text
+
+
+def polarised_section(name: str, entry: dict[str, Any]) -> str:
+    """Return the section of one polarisation camera."""
+    rows = [
+        f"| {NAMES.get(each, each)} | {of['psnr_s0']:.2f} | {of['psnr_dolp']:.2f} | {of['aolp_rmse']:.1f} "
+        f"| {of['dolp_bias']:.4f} |"
+        for each, of in entry["polarisation"].items()
+    ]
+    errors = "\n".join(["| method | S0 (dB) | DoLP (dB) | AoLP (°) | DoLP bias |", "|---|---|---|---|---|", *rows])
+    period, _, about = entry["summary"].rpartition("  ")
+    pictures = POLARISED_PICTURES.format(name=name, title=entry["title"], scale=entry["scale"])
+    return f"### {name}\n\n{about} ({' '.join(period.split())}).\n\n{errors}\n\n{pictures}"
 
 
 def table(entries: Entries) -> str:

@@ -629,6 +629,13 @@ class CameraModel(Artifact):
         """Range between the black level and the white level, in electrons."""
         return (self.white_level - self.black_level) / self.gain
 
+    def resized(self, rows: int, cols: int) -> "CameraModel":
+        """Return the camera model with another sensor size in pixels, and without the maps of its pixels.
+
+        The maps are the defect map, the flat field and the polariser field.
+        """
+        return replace(self, rows=rows, cols=cols, defects=None, flat_field=None, polariser_field=None)
+
     def at_gain(self, gain: float) -> "CameraModel":
         """Return the camera model at a different analog gain.
 

@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, Polarisers, sensitivity_threshold
 from l3cli.artifacts.camera_curves import full_width
@@ -13,6 +14,7 @@ from l3cli.calibration.photo.estimate import NOTICED, terms
 from l3cli.calibration.responsivity import COVERAGE, likely_mistake
 from l3cli.calibration.statistics import defect_counts
 from l3cli.errors import InputFileError
+from l3cli.frames.super_pixels import FRACTION
 from l3cli.physics import spectra
 from l3cli.physics.stokes import angle_difference
 from l3cli.system.text import columns, figure
@@ -136,6 +138,8 @@ def figures(camera: CameraModel) -> dict[str, Any]:
         columns |= _photo_columns(camera, fit.photo)
     if fit.polarisers is not None:
         columns |= _polariser_columns(fit.polarisers)
+    if camera.polariser_field is not None:
+        columns["pixels (°)"] = pixel_angle_deviation(camera)
     return {
         "camera": {
             name: {"value": value, "unit": unit}
@@ -226,6 +230,18 @@ def _polariser_columns(fit: PolariserFit) -> dict[str, Any]:
         "gain (relative)": fit.gain,
         "gain ± (%)": 100.0 * COVERAGE * fit.gain_error / fit.gain,
     }
+
+
+def pixel_angle_deviation(camera: CameraModel) -> NDArray[np.float64]:
+    """Return the RMS deviation of the pixels' polariser angles from the angle of their channel, (channel,), in degrees."""
+    assert camera.polariser_field is not None
+    _, first, second = camera.relative_stokes_response.T
+    deviation = camera.polariser_field.response_deviation / 2.0**FRACTION
+    channel = camera.channel_map(deviation.shape[:2])
+    across = first[channel] * deviation[..., 2] - second[channel] * deviation[..., 1]
+    turn = across / np.maximum(2.0 * (first**2 + second**2), np.finfo(np.float64).tiny)[channel]
+    count = np.bincount(channel.ravel(), minlength=len(camera.channels))
+    return np.degrees(np.sqrt(np.bincount(channel.ravel(), turn.ravel() ** 2, len(camera.channels)) / count))
 
 
 def _lights(camera: CameraModel, chart: ChartFit) -> dict[str, dict[str, float]]:

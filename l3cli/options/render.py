@@ -224,8 +224,8 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     camera: OnePath = option(
         None,
-        "Camera model, or table that contains a camera model. l3 corrects the defective pixels and the shading that the "
-        "model describes.",
+        "Camera model, or table that contains a camera model. l3 corrects the defective pixels, the shading, and "
+        "the polarisers of single pixels that the model describes.",
         metavar="CAMERA.h5",
     )
     hot: Literal["auto", "off"] = option(

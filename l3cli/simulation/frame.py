@@ -179,7 +179,7 @@ def frames_like(head: TrainingSet) -> Callable[[TrainingPair, LightSpectrum], It
         Function of a frame and an illuminant spectrum. It yields frames of dead-leaves scenes under this illuminant, with
         the luminance and the exposure time of the given frame.
     """
-    camera = replace(head.camera, rows=DRAWN_SIZE[0], cols=DRAWN_SIZE[1], flat_field=None, defects=None)
+    camera = head.camera.resized(*DRAWN_SIZE)
     target = target_of(head)
 
     def drawn(like: TrainingPair, spectrum: LightSpectrum) -> Iterator[TrainingFrame]:

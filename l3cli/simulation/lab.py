@@ -433,7 +433,7 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
     channel = camera.channel_map(shape)
     electrons = capture.electrons[region, channel]
     if camera.polarisers is not None:
-        electrons = electrons + _polariser_deviation(camera.polarisers, capture, defects, region, channel)
+        electrons = electrons + _polariser_deviation(camera.polarisers, capture, defects, recipe, region, channel)
     electrons = electrons * light
     electrons[defects.hot[:, 0], defects.hot[:, 1]] += recipe.hot_current_e_per_s * capture.exposure
     pattern = fixed_pattern(camera)
@@ -447,20 +447,28 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
 
 
 def _polariser_deviation(
-    polarisers: Polarisers, capture: LabCapture, defects: SensorDefects, region: Any, channel: NDArray[np.uint8]
+    polarisers: Polarisers,
+    capture: LabCapture,
+    defects: SensorDefects,
+    recipe: DefectRecipe,
+    region: Any,
+    channel: NDArray[np.uint8],
 ) -> Array:
     """Return the difference in photo-electrons, (row, col), between each pixel's polariser and its channel's polariser.
 
     Behind a polariser at the angle θ, light with S1/S0 = p and S2/S0 = q causes A (1 + u) + B (1 − u) electrons, where A and
-    B are the electrons that unpolarised light causes along and across the axis, and u = p cos 2θ + q sin 2θ.
+    B are the electrons that unpolarised light causes along and across the axis, and u = p cos 2θ + q sin 2θ. The mean of u
+    over pixels with different angles is smaller than at their mean angle. u is divided by this ratio, so that the mean
+    response of the pixels is the response of the channel.
     """
     (first, second), angle = capture.stokes, polarisers.polariser_deg[channel]
     nominal, actual = 2 * np.radians(angle), 2 * np.radians(angle + defects.turn)
     before, after = (first * np.cos(twice) + second * np.sin(twice) for twice in (nominal, actual))
+    after /= np.sinc(recipe.polariser_deg / 90)  # mean of cos 2δ over the deviations δ
     assert capture.unpolarised is not None
     along, across = capture.unpolarised[:, region, channel]
-    ratio = np.where(polarisers.present[channel], defects.extinction, 1.0)
-    return np.asarray(along * (after - before) + across * ((1 - after) / ratio - (1 - before)))
+    leakage = np.where(polarisers.present[channel], defects.leakage, 1.0)
+    return np.asarray(along * (after - before) + across * (leakage * (1 - after) - (1 - before)))
 
 
 def falloff(y: Array, x: Array, missing: float) -> Array:

@@ -283,17 +283,16 @@ class DefectRecipe(Recipe):
     dust_radius_px: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 12.0
     blinking_pixels_per_million: OfMillion = 0.0  # pixels that switch between two levels at random (telegraph noise)
     blinking_step_e: NotNegative = 50.0  # mean difference of the two levels, which is exponentially distributed
-    # Polarisers of single pixels: largest deviations from the polariser of the channel. The deviations are uniformly
-    # distributed.
+    # Polarisers of single pixels: largest deviations from the mean of the channel. They are uniformly distributed.
     polariser_deg: Annotated[float, msgspec.Meta(ge=0, le=45)] = 1.0
-    polariser_extinction: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.2  # as a fraction of the extinction ratio
+    polariser_leakage: Share = 0.2  # as a fraction of the leakage, which is the inverse of the extinction ratio
 
 
 @dataclass(frozen=True)
 class SensorDefects:
     """The defects of one sensor, which are the same in every frame.
 
-    For cameras without polarisers, `turn` and `extinction` are single values, 0 and 1.
+    For cameras without polarisers, `turn` and `leakage` are single values, 0 and 1.
     """
 
     hot: NDArray[np.int64]  # (pixel, 2), row and column of each hot pixel
@@ -302,7 +301,7 @@ class SensorDefects:
     blinking: NDArray[np.int64]  # (pixel, 2), row and column of each blinking pixel
     steps: NDArray[np.float32]  # (pixel,), difference between the two levels of each blinking pixel, in e-
     turn: NDArray[np.float32]  # (row, col), angle of each pixel's polariser relative to its channel, in degrees
-    extinction: NDArray[np.float32]  # (row, col), extinction ratio of each pixel's polariser relative to its channel
+    leakage: NDArray[np.float32]  # (row, col), leakage of each pixel's polariser relative to its channel
 
     def blinks(self, rng: np.random.Generator) -> NDArray[np.float32]:
         """Draw each blinking pixel's offset in one frame, in e-. Both levels are equally probable."""
@@ -337,9 +336,9 @@ def _draw(seed: int, rows: int, cols: int, polarised: bool, figures: tuple[float
         part -= (recipe.dust_depth * np.exp(-0.5 * (y[:, None] ** 2 + x**2) / recipe.dust_radius_px**2)).astype(np.float32)
     blinking = scattered(recipe.blinking_pixels_per_million)  # drawn later, so that the other defects do not depend on it
     steps = rng.exponential(recipe.blinking_step_e, len(blinking)).astype(np.float32)
-    turn, extinction = np.zeros((1, 1), np.float32), np.ones((1, 1), np.float32)
+    turn, leakage = np.zeros((1, 1), np.float32), np.ones((1, 1), np.float32)
     if polarised:
-        turn, ratio = (rng.uniform(-1.0, 1.0, (rows, cols)).astype(np.float32) for _ in range(2))
+        turn, change = (rng.uniform(-1.0, 1.0, (rows, cols)).astype(np.float32) for _ in range(2))
         turn *= np.float32(recipe.polariser_deg)
-        extinction = 1 + np.float32(recipe.polariser_extinction) * ratio
-    return SensorDefects(hot, dead, shade, blinking, steps, turn, extinction)
+        leakage = 1 + np.float32(recipe.polariser_leakage) * change
+    return SensorDefects(hot, dead, shade, blinking, steps, turn, leakage)

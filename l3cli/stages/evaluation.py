@@ -76,7 +76,7 @@ def standard_figures(head: TrainingSet, planes: PlanesOf) -> dict[str, Any]:
         The entry "standards" in the output of `l3 evaluate --json`, which docs/measurement.md describes.
     """
     camera, outputs = head.camera, head.outputs
-    camera = dataclasses.replace(camera, rows=standards.SIDE, cols=standards.SIDE, flat_field=None, defects=None)
+    camera = camera.resized(standards.SIDE, standards.SIDE)
     target = target_of(head)
     light = make_light(standards.LIGHT, {}, camera.wavelength).at(CHART_LUMINANCE)
     document: dict[str, Any] = {"edge": {}, "grey": None, "chart": None}
@@ -147,7 +147,7 @@ def _greys(
     Returns None if no channel reaches the reference ratio, or if the dark current alone saturates the pixels.
     """
     side, part = (standards.RAW_SIDE,) * 2, np.s_[: standards.GREY_SIDE, : standards.GREY_SIDE]
-    camera, channel = dataclasses.replace(camera, rows=side[0], cols=side[1]), camera.channel_map(side)
+    camera, channel = camera.resized(*side), camera.channel_map(side)
     cube = np.full((standards.GREY_SIDE, standards.GREY_SIDE, 2), standards.GREY, np.float32)
     scene = Scene("grey", np.array(SHOWN), cube, NO_ILLUMINANT)
     seconds, lens = standards.EXPOSURE, Lens(diffraction=False)
