@@ -34,8 +34,8 @@ MIN_LINE_PIXELS = 64  # smallest number of pixels in a row or column whose offse
 MAX_LINE_PIXELS = 2048  # longer lines are sampled, because more pixels hardly improve the estimate
 SMOOTHED_LINES = 33  # number of lines over which slow changes are averaged and attributed to the scene
 PICTURE_SIGNAL = 0.02  # fraction of full scale; signal of a dark picture, in which offsets are visible
-PICTURE_CHANGE = 0.008  # standard deviation of a scene's mean change from row to row, relative to the signal
-PICTURE_VOTES = 0.8  # usual fraction of the pixels in a row that the noise cannot distinguish from the next row
+PICTURE_CHANGE = 0.008  # standard deviation of the change of a scene's mean from row to row, divided by the signal
+PICTURE_VOTES = 0.8  # usual fraction of a row's pixels that differ from the next row by no more than the noise allows
 MAX_MASKED = 4096  # largest number of masked rows or columns on each side of the sensor
 
 
@@ -358,9 +358,10 @@ def variance_left_by_picture(lines: float, pixel: float, signal: float, count: i
     Notes
     -----
     Between neighbouring lines, the mean of the scene changes with the variance (PICTURE_CHANGE · signal)², and the noise of
-    the pixels adds 2 (pixel + signal) / (PICTURE_VOTES · count). Let V be the sum of both. If the differences of adjacent
-    offsets are measured with the variance V, the posterior variance of an offset is lines / √(1 + 4 lines / V). The
-    correction also keeps the slow part of the offsets, a fraction of 1 / SMOOTHED_LINES of their variance.
+    the pixels adds 2 (pixel + signal) / (PICTURE_VOTES · count). Let V be the sum of both variances. If V is the error
+    variance of the measured differences between adjacent offsets, the posterior variance of an offset is
+    lines / √(1 + 4 lines / V). The correction also keeps the slow part of the offsets. This part has a fraction
+    of 1 / SMOOTHED_LINES of their variance. The two remaining variances are combined as the root of the sum of squares.
     """
     if count < MIN_LINE_PIXELS or not lines:
         return lines
@@ -739,7 +740,10 @@ class CameraModel(Artifact):
 
     @property
     def _axis_weights(self) -> NDArray[np.float64]:
-        """As `electron_weights`, but for light that is polarised along the axis of each channel's polariser."""
+        """Matrix (channel, wavelength) that converts radiance polarised along each polariser's axis to photo-electrons.
+
+        Units are as in `electron_weights`.
+        """
         photons = self.optics.irradiance_per_radiance * self.pixel_pitch**2 * spectra.bin_widths(self.wavelength)
         if self.readout is not None:
             return self.responsivity * photons * self.readout.channel_exposure[:, None]
@@ -848,7 +852,7 @@ class CameraModel(Artifact):
         channel_dark: Any = dark
         if self.readout is not None and channel is not None:
             gain = self.gain * self.readout.channel_gain[channel]
-            rounding = noise.read_noise**2 - self.noise.read_noise**2  # added by the correction of offsets
+            rounding = noise.read_noise**2 - self.noise.read_noise**2  # variance from rounding the corrected values
             temporal = self.readout.channel_read_noise[channel] ** 2 + rounding + noise.lines
             channel_dark = dark * (self.readout.channel_exposure * self.readout.channel_gain)[channel]
         constant = gain**2 * (left * temporal + noise.fixed) + QUANTISATION
@@ -896,7 +900,10 @@ class CameraModel(Artifact):
         )
 
     def as_corrected(self) -> "CameraModel":
-        """Return the camera of corrected frames: without masked pixels, and with the noise that remains."""
+        """Return the camera model that applies to frames after the correction of row and column offsets.
+
+        It has no masked pixels, and its noise is `corrected_noise`.
+        """
         if self.masked is None and not self.has_line_noise:
             return self
         noise, readout = self.corrected_noise(), self.readout

@@ -47,13 +47,13 @@ class ResponsivityRecipe(Recipe):
     # CSV file with the wavelength in nm and one column per channel. Columns are found by name, or are in the order of
     # cfa.channels.
     file: str | None = None
-    # column names, for channels whose column has a different name than the channel
+    # column names by channel, for channels whose column has another name
     columns: dict[str, str] = msgspec.field(default_factory=dict)
     per_energy: bool = False  # whether the curves are per watt instead of per photon
 
 
 def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Iterator[Fault]:
-    """Find the faults of the section [responsivity].
+    """Find the faults in the section [responsivity].
 
     The peak efficiency and the content of files are checked elsewhere.
     """

@@ -75,7 +75,7 @@ class ChannelRecipe(Recipe):
 
 
 def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> Iterator[Fault]:
-    """Find the faults of the sections [channel.NAME].
+    """Find the faults in the sections [channel.NAME].
 
     Unknown channels and contradictory settings are faults. It is also a fault if no channel has the exposure 1.
     """
@@ -300,7 +300,7 @@ def gains_of(recipe: GainRecipe | None, read_noise: float) -> AnalogGains | None
 
 
 def gain_faults(recipe: GainRecipe, read_noise: float) -> Iterator[Fault]:
-    """Find the faults of the section [gain]. `read_noise` is the camera's read noise in e-."""
+    """Find the faults in the section [gain]. `read_noise` is the camera's read noise in e-."""
     if len(recipe.gains) != len(recipe.read_noise_e):
         message = f"gain.gains has {len(recipe.gains)} values, but gain.read_noise_e has {len(recipe.read_noise_e)}"
         yield fault(f"{message}; write one read noise per gain", "gain.read_noise_e", "gain.gains")
@@ -340,7 +340,7 @@ def masked_of(recipe: MaskedRecipe | None) -> MaskedPixels | None:
 
 
 def masked_faults(recipe: MaskedRecipe | None, channels: Mapping[str, ChannelRecipe]) -> Iterator[Fault]:
-    """Find the faults of the section [masked], including conflicts with the sections [channel.NAME] in `channels`."""
+    """Find the faults in the section [masked], including conflicts with the sections [channel.NAME] in `channels`."""
     if recipe is None:
         return
     if not any(msgspec.structs.astuple(recipe)):
@@ -529,7 +529,7 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
 
 
 def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
-    """Find the faults of a recipe. The content of the files that it uses is not checked."""
+    """Find the faults in a recipe. The content of the files that it uses is not checked."""
     sensor, noise, optics = recipe.sensor, recipe.noise, recipe.optics
     if recipe.responsivity.peak_efficiency is not None:
         yield from share_faults(recipe.responsivity.peak_efficiency, "responsivity.peak_efficiency", 1.0)
@@ -620,7 +620,7 @@ def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
 
 
 def cfa_faults(cfa: CfaRecipe) -> Iterator[Fault]:
-    """Find the faults of a colour filter array.
+    """Find the faults in a colour filter array.
 
     The rows must have the same length, the array and the number of channels must not be too large, and the pattern must
     contain exactly the listed channels, each listed once.
@@ -678,7 +678,7 @@ def recipe_text(path: Path) -> str:
 
 
 def camera_recipe_faults(recipe: CameraRecipe | PhaseRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Find all faults of a camera recipe and of its CSV files with responsivities and extinction ratios."""
+    """Find all faults in a camera recipe and in its CSV files with responsivities and extinction ratios."""
     if source.path.suffix != ".toml":
         message = f'the name of a camera recipe must end in ".toml"; rename {source.path.name} to NAME.toml'
         yield fault(message, "name")

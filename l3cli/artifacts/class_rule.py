@@ -176,7 +176,7 @@ class ClassRule:
     chroma_dither: int = data(
         "int64", default=0, doc="1: pixels between two chromas are assigned to either of them, alternating between sites"
     )
-    features: StoredFeatures | None = group(default=None)  # None: only level, contrast, saturation and chroma
+    features: StoredFeatures | None = group(default=None)  # None: the rule has no additional features
     spared_cases: int = data(
         "int64",
         default=0,
@@ -246,7 +246,7 @@ class ClassRule:
 
     @property
     def lost_cases(self) -> int:
-        """Number of saturation cases in which every channel of some filter clips, plus 1 for all the other cases."""
+        """One more than the number of saturation cases in which all channels of at least one colour filter clip."""
         return self.cases - self.spared_cases
 
     @property
@@ -352,7 +352,10 @@ class ClassRule:
         return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # kinds may be unsigned: avoid negative differences
 
     def lost(self, kind: Any) -> Any:
-        """Number the saturation cases in which every channel of some filter clips, from 1. Return 0 for all other cases."""
+        """Return the sequence number, from 1, of a saturation case in which all channels of a colour filter clip.
+
+        The result is 0 for kinds with any other saturation case.
+        """
         return np.maximum(self.case(kind) - self.spared_cases, 0)
 
     def kinds_of(self, case: int) -> slice | int:

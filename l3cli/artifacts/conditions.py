@@ -45,7 +45,7 @@ class NoiseEdges:
         doc="constants of the features for this noise, as in first/rule/features; empty without features",
     )
     gradients: tuple[GradientScale, ...] = group(default=())  # one scale per refinement layer
-    coarse_chroma: CoarseChroma | None = group(default=None)  # in the last layer; None: as in the table
+    coarse_chroma: CoarseChroma | None = group(default=None)  # for the last layer; None: use the table's noise model
 
     @classmethod
     def of(cls, first: MosaicLayer, later: Sequence[PlaneLayer]) -> "NoiseEdges":

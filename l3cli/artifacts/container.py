@@ -158,7 +158,7 @@ def open_content(content: bytes) -> h5py.File:
 
 
 def _block(raw: io.BufferedReader | io.FileIO) -> bytes:
-    """Compute the user block from all bytes that follow it."""
+    """Return the user block of a file, which contains the SHA-256 digest of all bytes after the block."""
     raw.seek(BLOCK)
     return _user_block(hashlib.file_digest(raw, "sha256").hexdigest())
 

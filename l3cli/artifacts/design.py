@@ -17,8 +17,8 @@ from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.physics.mosaic import array_rows
 
 SHARP, SOFT = slice(0, 3), slice(3, 6)  # targets: X, Y, Z; and X, Y, Z whose chroma is blurred as in human vision
-WEIGHTINGS = ("seen", "linear")  # patches are weighted as the eye perceives errors, or equally
-SIDE = 7  # side, in pixels, of the neighbourhood for which errors are predicted
+WEIGHTINGS = ("seen", "linear")  # weights of patches: as the eye perceives errors, or equal
+SIDE = 7  # side of a patch in pixels; the predicted error is the error at its centre
 KINDS = (("plain", "edge"), ("dark", "middle", "bright"), ("neutral", "orange", "green", "blue", "magenta"))
 # names of the groups of patches: contrast of the patch, then brightness and hue of its centre
 GROUPS = tuple(map(" ".join, itertools.product(*KINDS)))
@@ -30,7 +30,7 @@ Rows = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]  # a table for the te
 class LightMoments:
     """Second moments of patches and targets under one illuminant, summed over the patches of each group.
 
-    `terms` coefficients describe the spectrum at each tap. The entries of the moments are, in this order:
+    The spectrum at each tap is described by `terms` coefficients. The entries of the moments are, in this order:
 
     1. the coefficients of the SIDE × SIDE taps, tap by tap;
     2. X, Y, Z at the centre, relative to white;

@@ -253,7 +253,7 @@ class TreeRule(PlaneClasses):
 
     @property
     def leaf(self) -> NDArray[np.int64]:
-        """Number of each leaf. For an inner node, the number of the first leaf below it.
+        """Index of each leaf among the leaves. For an inner node, the index of the first leaf below it.
 
         Leaves are numbered in depth-first order, and the first branch of a node comes before the second.
         """

@@ -369,7 +369,7 @@ class SceneCoverage:
     """The name of a frame's scene, and how completely the scene data cover the camera's wavelengths."""
 
     scene: str  # name of the scene
-    uncovered: float  # fraction of the electrons of a perfect white from wavelengths without scene data
+    uncovered: float  # for a perfect white: fraction of its electrons from wavelengths without scene data
 
 
 def write_part(path: Path, frame: TrainingPair, uncovered: float) -> None:

@@ -96,7 +96,7 @@ def l3(context: click.Context) -> None:
     transforms (train) and render raw frames with the table (render). Each stage writes one HDF5 file for the next.
     """
     require_address_space()
-    # A call without a command is an error, because its cause in a script is usually an empty variable.
+    # `l3` without a command is an error, because in a script, an empty variable is the usual cause.
     if context.invoked_subcommand is None:
         for line in context.get_help().splitlines():
             to_stderr(line)

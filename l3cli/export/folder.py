@@ -342,7 +342,7 @@ def _clipped_white(table: TransformTable) -> dict[str, Any]:
 
 
 def _white_scale(table: TransformTable) -> dict[str, Any]:
-    """Return the table.json entry for each channel's factor from DN to the luminance of white, or {} if it is unknown."""
+    """Return the table.json entry with `white_scale`: luminance of white per DN of each channel, or {} if it is unknown."""
     return {} if table.white_signals is None else {"white_scale": white_scale(table).tolist()}
 
 

@@ -92,9 +92,9 @@ class LightMatrices:
     """Colour matrices of a camera with n channels for one illuminant."""
 
     neutral: Array  # (n,) signals of a grey surface, scaled to a maximum of 1
-    colour: Matrix  # (n, 3) from XYZ under the illuminant (Y = 1 for white) to channels (maximum 1 for white)
-    forward: Matrix  # (3, n) from white-balanced channels to XYZ of the surface under D50
-    correction: Matrix  # (3, n) from white-balanced channels to linear sRGB of the surface under D65
+    colour: Matrix  # (n, 3) converts XYZ under the illuminant (Y = 1 for white) to channels (maximum 1 for white)
+    forward: Matrix  # (3, n) converts white-balanced channels to the XYZ that the surface has under D50
+    correction: Matrix  # (3, n) converts white-balanced channels to the linear sRGB that the surface has under D65
 
 
 def light_matrices(camera: CameraModel, light: str) -> LightMatrices | None:

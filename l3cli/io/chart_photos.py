@@ -25,8 +25,8 @@ from l3cli.spectra.table import without_noise
 COVERED_NM = (400.0, 700.0)  # range in nm that a measured illuminant spectrum must cover
 GRID = np.arange(380.0, 781.0, 5.0)  # wavelengths in nm at which built-in illuminants and charts are sampled
 Array = NDArray[np.float64]
-# Settings for reading raw files: "black_level" and "white_level" in DN, for files that do not contain these levels, and
-# "opcodes", which is "leave" if l3 must ignore unsupported DNG opcodes.
+# Settings for reading raw files. "black_level" and "white_level" are in DN, and apply to files that do not contain them.
+# If "opcodes" is "leave", l3 ignores unsupported DNG opcodes.
 Levels = Mapping[str, Any]
 
 
@@ -117,7 +117,7 @@ def capture_of(
         If a file is not a raw file from this camera, if its black level is unknown, or if the files differ in size or
         phase.
     """
-    known = {"black_level": 0.0, **levels} if photo.dark else levels  # the black level is later measured in the dark frames
+    known = {"black_level": 0.0, **levels} if photo.dark else levels  # placeholder; the dark frames determine the level
     frames, darks, whites = (
         tuple(_frame(path.parent / name, read(path.parent / name, known), body, known) for name in names)
         for names in (photo.frames, photo.dark, photo.white)

@@ -187,7 +187,8 @@ class PriorRecipe(Recipe):
     source: str  # cameras, author and licence of the measurements
     wavelength_nm: list[float]
     mean: dict[str, list[float]]  # channel → value at each wavelength
-    modes: list[dict[str, list[float]]]  # channel → value at each wavelength, scaled to the mode's standard deviation
+    # principal components of the variation, each times its standard deviation: channel → value at each wavelength
+    modes: list[dict[str, list[float]]]
     log_peak: list[float]
     log_peak_covariance: list[list[float]]
 

@@ -41,7 +41,7 @@ SET_NO_NEW_PRIVILEGES = 38  # prctl option
 CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446  # Landlock system calls, with the same numbers on all architectures
 ASK_FOR_VERSION = 1  # flag that makes CREATE_RULESET return the Landlock version
 PATH_BENEATH = 1  # type of a rule that grants rights for a file, or for everything below a folder
-FILE_RIGHTS, ADDED_IN = 13, (2, 3, 5)  # file rights in Landlock 1, and versions that added one right each
+FILE_RIGHTS, ADDED_IN = 13, (2, 3, 5)  # number of file rights in Landlock 1; versions that each added one right
 READ_FILE, READ_FOLDER = 1 << 2, 1 << 3
 TCP, TCP_SINCE = 0b11, 4  # rights to bind and to connect, and the Landlock version that introduced them
 SCOPES, SCOPES_SINCE = 0b11, 6  # restrictions of abstract Unix sockets and signals, and the version that introduced them
@@ -158,7 +158,7 @@ def serve(socket_descriptor: int, arrays: int, cpu_seconds: float, max_bytes: in
     """
     limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_AS: max_bytes, resource.RLIMIT_FSIZE: max_bytes}
     for what, most in limits.items():
-        resource.setrlimit(what, 2 * (_allowed(what, most),))  # also the hard limit, which cannot be raised again
+        resource.setrlimit(what, 2 * (_allowed(what, most),))  # soft and hard limit, so that workers cannot raise it
     without_plots()
     workers: dict[str, _Worker] = {}  # file and decoder → worker, with the least recently used worker first
     with socket.socket(fileno=socket_descriptor) as connection:

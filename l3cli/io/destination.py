@@ -222,7 +222,7 @@ def refuse_outputs(
 
 
 def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
-    """Return the existing files that a stream could overwrite. The stream itself is not read."""
+    """Return the existing picture files that rendering a stream could overwrite, without reading the stream."""
     if sequence.wanted is None:
         return _pictures(destination)
     wanted = sequence.wanted if sequence.part is None else sequence.wanted[sequence.part.start : sequence.part.stop]

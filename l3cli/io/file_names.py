@@ -203,4 +203,4 @@ def _is_clip(path: Path) -> bool:
             return path.suffix.lower() in BY_SUFFIX and path.is_file()
         return any(each.name[0] != "." and each.suffix.lower() in BY_SUFFIX for each in path.iterdir())
     except OSError:
-        return True  # rendering the clip will report the error
+        return True  # treat an unreadable path as a clip, so that rendering reports the error

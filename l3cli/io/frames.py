@@ -70,7 +70,7 @@ def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
         raise InputFileError(f"{path} is not a mosaic; {RAW_FILE}")
     require_picture(str(path), *content["values"].shape)
     refuse_faults(str(path), content, answered)
-    if content["values"].dtype not in (np.uint8, np.uint16):  # callers check the bit depth of uint8 and uint16
+    if content["values"].dtype not in (np.uint8, np.uint16):  # values of these two types are already in DN
         content["values"] = require_dn(str(path), content["values"])
     return content
 
@@ -183,7 +183,7 @@ def read_frame(
     array : FilterArray, optional
         CFA of the sensor. If a raw file contains a CFA, it must be this CFA in the same phase.
     masked : MaskedPixels, optional
-        Masked pixels around the pixels in `shape`, to be cut off. DNG files may also store them outside their crop.
+        Masked pixels of the camera. If the file contains them, they are cut off, which leaves the size `shape`.
 
     Returns
     -------

@@ -39,14 +39,14 @@ from l3cli.system.limits import MEGAPIXELS, most_pixels
 
 EXPOSURES = ("exposure_s", "exposure_ms", "exposure_us")
 CAPTURES = ("mono", "band", "chart", "white", "dark", "polariser")  # sections whose entries list frames
-# Without a reference, a monitor reading must be a ratio of two lamp readings. A ratio that differs from 1 by more than this
-# factor is rejected, because it is probably a plain reading.
+# If a lamp monitor has no column of reference readings, its table must contain ratios of two readings. A value that differs
+# from 1 by more than this factor is rejected, because it is probably a single reading and not a ratio.
 MOST_UNREFERENCED = 2.0
 MOST_MONITOR = 10.0  # largest factor by which two lamp readings may differ; a larger factor indicates a different lamp
 Below1 = Annotated[float, msgspec.Meta(ge=0, lt=1)]
 Names = Annotated[list[str], msgspec.Meta(min_length=1)]
 Corners = Annotated[list[tuple[float, float]], msgspec.Meta(min_length=4, max_length=4)]
-SITE_PIXELS = 8  # minimum number of CFA periods in each direction, because the noise analysis needs local means
+SITE_PIXELS = 8  # minimum number of CFA periods along each side of a frame, because the noise analysis needs local means
 
 
 class BodyRecipe(Recipe):
@@ -114,7 +114,8 @@ class ChartRecipe(CaptureRecipe, kw_only=True):
 class PolariserRecipe(CaptureRecipe, kw_only=True):
     """Frames of a uniform light source, taken through a linear polariser at one angle."""
 
-    # scale reading: angle of the transmission axis, counter-clockwise from horizontal, plus rotator.offset_deg
+    # reading of the rotator's scale: the angle of the transmission axis, counter-clockwise from horizontal, plus
+    # rotator.offset_deg
     angle_deg: Annotated[float, msgspec.Meta(ge=-360, le=360)]
 
 
@@ -124,8 +125,9 @@ class RotatorRecipe(Recipe):
     extinction: Annotated[float, msgspec.Meta(gt=1)] | None = None  # extinction ratio; default: ideal polariser
     # standard deviation of the error in each angle_deg
     angle_error_deg: Annotated[float, msgspec.Meta(ge=0, le=10)] = 0.1
-    offset_deg: Annotated[float, msgspec.Meta(ge=-180, le=180)] = 0.0  # scale reading when the axis is horizontal
-    reference: str | None = None  # channel with an exact polariser_deg; set this key if the zero of the scale is unknown
+    # reading of the scale when the transmission axis is horizontal
+    offset_deg: Annotated[float, msgspec.Meta(ge=-180, le=180)] = 0.0
+    reference: str | None = None  # if the zero of the scale is unknown: channel whose polariser_deg is exact
 
 
 class CommonRecipe(Recipe):

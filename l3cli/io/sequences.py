@@ -96,9 +96,9 @@ class FrameSequence:
         return InputFileError(f"{named} not in {self.what}; select existing frames with ‹frames›, or add ‹skip_bad›")
 
     def rest(self, number: int) -> range:
-        """Return the selected frame numbers from `number` on. If a stream ends before frame `number`, they are missing.
+        """Return the selected frame numbers that are missing if a stream ends before frame `number`.
 
-        The result is empty if the user selected no frames.
+        The result is empty if the user has not made a selection.
         """
         return self.wanted[self.wanted.index(number) :] if self.wanted else range(0)
 

@@ -207,7 +207,8 @@ class SequenceOptions(EvaluateOptions):
 class Brightness(Reader):
     """An illuminance such as "5 lux", or the luminance of a perfect white such as "20 cd/m2".
 
-    The value is stored as the luminance of a perfect white in cd/m². A Python number without a unit is such a luminance.
+    The value is stored as the luminance of a perfect white in cd/m². A Python number without a unit is interpreted as this
+    luminance.
     """
 
     number = Number(1e-9, 1e9)

@@ -34,7 +34,8 @@ KNOWN = {
     "Snakefile": ('config.get("camera", "snakemake/camera.h5")', 'config.get("camera", "camera.toml")'),
     "slurm.sh": ("${CAMERA:-camera.h5}", "${CAMERA:-camera.toml}"),
 }
-# (text, replacement) pairs with which the scene recipe and the class recipe train for two illuminants.
+# Illuminants of recipes for several illuminants. ILLUMINANTS and LEARNING are pairs (text, replacement), which insert these
+# illuminants into the scene recipe and the class recipe.
 LIGHTS = '["A", "D65"]'
 ILLUMINANTS = 'illuminants = ["D65"]\n', f"illuminants = {LIGHTS}\n"
 LEARNING = (

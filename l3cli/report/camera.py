@@ -128,7 +128,8 @@ def polariser_figure(camera: CameraModel, fit: PolariserFit) -> Figure:
     light = np.linspace(0.0, 180.0, 181)
     curves, bright = malus(light, *law), fit.brightness[:, None]
     largest = curves.max()
-    unit_signal = (fit.predicted / bright).sum() / malus(fit.light_angle, *law).sum()  # DN/s at 1 in Malus's law
+    # The signal, in DN/s, for which `malus` returns 1.
+    unit_signal = (fit.predicted / bright).sum() / malus(fit.light_angle, *law).sum()
     curves, signal = curves / largest, fit.measured / bright / unit_signal / largest
     plot = Plot(
         spanning("angle of the rotating polariser (°)", light),

@@ -84,6 +84,7 @@ def spanning(label: str, values: Iterable[float] | Array, zero: bool = False, lo
     Returns
     -------
     Axis
+        The axis.
     """
     array = np.asarray(values if isinstance(values, np.ndarray) else list(values), dtype=np.float64).ravel()
     array = array[np.isfinite(array) & ((array > 0) | (not log))]

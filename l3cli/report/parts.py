@@ -114,7 +114,7 @@ class Comparison:
 
     @property
     def width(self) -> int:
-        """Maximum width on the screen in pixels, so that small frames are not enlarged until they look blurred."""
+        """Maximum width on the screen in pixels. It limits the enlargement of small frames, which would look blurred."""
         return max(3 * self.pictures[0].cols, 480)
 
 

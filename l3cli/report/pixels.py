@@ -116,6 +116,7 @@ def crop_of(
     Returns
     -------
     crop : Crop
+        The crop, with the additional classes.
     text : str
         Result of `packed` for the crop.
     """

@@ -535,7 +535,7 @@ def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Pa
 
 
 def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
-    """Yield the faults of a digitised curve `line` (X and Y, point). `grid` contains the wavelengths of the whole plot."""
+    """Yield the faults in a digitised curve `line` (X and Y, point). `grid` contains the wavelengths of the whole plot."""
     x, y = line
     if x.size < 2:
         if x.size:

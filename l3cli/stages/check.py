@@ -77,7 +77,7 @@ def files_named(path: Path, content: Mapping[str, Any]) -> tuple[Path, ...]:
 
 
 def design_recipe_faults(recipe: DesignRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Find the faults of a design recipe. Its files of spectra are checked only if the recipe itself has no faults."""
+    """Find the faults in a design recipe. Its files of spectra are checked only if the recipe itself has no faults."""
     wrong = list(design_faults(recipe))
     yield from wrong
     if not wrong:
@@ -111,7 +111,7 @@ def design_lines(figures: dict[str, Any], width: int | None) -> list[str]:
 
 
 def scene_recipe_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Find the faults of a scene recipe, including missing files and, if the camera is known, conflicts with the camera."""
+    """Find the faults in a scene recipe, including missing files and, if the camera is known, conflicts with the camera."""
     yield from scene_faults(recipe, source.camera)
     yield from curve_faults(recipe, source)
     for number, scene in enumerate(recipe.scene):
@@ -299,7 +299,7 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True)
 class Judgement:
-    """Result of a check: the faults of a file or, if the file has no faults, a summary of its content."""
+    """Result of a check: the faults in a file or, if it has none, a summary of its content."""
 
     path: Path
     kind: str | None = None  # type of the recipe, a key of KINDS; None if unknown
@@ -323,8 +323,9 @@ class Judgement:
 def check(given: Sequence[str]) -> list[Judgement]:
     """Check recipes and return the results in the order of the arguments.
 
-    Camera recipes are checked first. Every other recipe is then checked for a camera without faults: the first one in the
-    same folder or, if there is none, in any folder. Duplicate files are checked once.
+    Camera recipes are checked first. Every other recipe is then checked together with a camera: the first valid camera
+    recipe in the same folder or, if that folder has none, the first valid camera recipe in any folder. Without a valid
+    camera recipe, the other recipes are checked alone. Duplicate files are checked once.
 
     Parameters
     ----------

@@ -54,7 +54,8 @@ from l3cli.system.text import counted
 PlanesOf = Callable[[TrainingFrame], dict[str, NDArray[np.floating]]]  # frame → outputs of each pipeline
 CHART_LUMINANCE = 1e4  # cd/m², luminance of white on the charts, so high that dark current is negligible
 LUX = 1e-9, 1e9  # range of plausible illuminances in lux
-CHART_BANDS = np.array([*np.arange(SHOWN[0], SHOWN[1], 20.0), SHOWN[1]])  # nm, dense enough for diffraction
+# Wavelengths of the simulated charts in nm, so close together that diffraction hardly changes from one to the next.
+CHART_BANDS = np.array([*np.arange(SHOWN[0], SHOWN[1], 20.0), SHOWN[1]])
 
 
 def standard_figures(head: TrainingSet, planes: PlanesOf) -> dict[str, Any]:

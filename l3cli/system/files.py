@@ -89,7 +89,7 @@ FINISHED = ".l3-finished"
 STDIN = Path("-")
 LONGEST = 255  # maximum length of a file name, in bytes
 LONGEST_SUFFIX = 16  # maximum length, in bytes, of a suffix that can identify a file format
-NAMES = {  # names of files other than regular files in messages
+NAMES = {  # file type → its name in messages, for files that are not regular files
     stat.S_IFDIR: "folder",
     stat.S_IFIFO: "pipe",
     stat.S_IFSOCK: "socket",

@@ -1,7 +1,7 @@
 """Convert SIGINT and SIGTERM to exceptions, so that the program cleans up and prints one line before it ends.
 
 Because l3 writes outputs to temporary files and renames them when they are complete, an exception may occur at almost any
-time. There are three exceptions to this rule, where signals must not interrupt the code:
+time. Only three pieces of code must not be interrupted by signals:
 
 * The callbacks through which HDF5 writes. HDF5 would discard both the exception and the data, and the incomplete file would
   look complete.

@@ -54,6 +54,7 @@ def frame_axes(name: str, shape: Sequence[int], names: Sequence[str] = (), usual
     Returns
     -------
     Axes
+        Positions of the frame, row and column axes in `shape`.
 
     Raises
     ------

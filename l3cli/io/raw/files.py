@@ -360,6 +360,7 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
     Returns
     -------
     RawFrame
+        The frame, after the corrections.
 
     Raises
     ------
@@ -423,9 +424,10 @@ def _misread(content: RawContent, table: Sensor, phase: NDArray[np.integer]) -> 
 
 
 def _displaced(content: RawContent, table: Sensor, phase: tuple[int, int]) -> tuple[str, ...]:
-    """Return a warning if the packing implies that a headerless frame is cropped although it has the size of the sensor.
+    """Return a warning if a headerless frame has the size of the sensor, but does not start at the first site of the CFA.
 
-    A packing implies a crop if its colour pattern does not start at the first site of the CFA.
+    `phase` is the CFA row and column at which the frame starts according to its packing. Only a cropped frame, which is
+    smaller than the sensor, should start at another site.
     """
     if "readings" not in content or phase == (0, 0) or content["values"].shape != (table.rows, table.cols):
         return ()

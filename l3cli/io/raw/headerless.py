@@ -32,7 +32,7 @@ class Layout:
 
     @property
     def bits(self) -> int:
-        """Bit depth of the values. Always 16 for unpacked 16-bit words, because swapped bytes can result in any value."""
+        """Bit depth of the values. It is 16 for unpacked words: with a wrong byte order, any 16-bit value can occur."""
         return 16 if self.packing.is_words else self.packing.bits
 
     @property

@@ -13,7 +13,7 @@ TOP = 65535  # largest DN
 # Black and white level of scaled values in DN, with margins for noise below black and for values above white.
 SCALED_BLACK, SCALED_WHITE = 8192.0, 57344.0
 FULL_SCALE_ONE = 2.0  # if full scale is 1, all values are below this limit, even with noise
-LEAST_DN_LEVEL = 16.0  # white levels from this value are probably meant in DN
+LEAST_DN_LEVEL = 16.0  # a white level of at least this value is probably in DN, not a fraction of full scale
 
 
 def as_dn(values: NDArray) -> NDArray[np.uint16] | None:

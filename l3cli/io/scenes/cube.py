@@ -129,7 +129,7 @@ Lists = dict[tuple[str, str], NDArray[np.float64]]  # (group, name) → list of 
 
 
 def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], length: int) -> Lists:
-    """Return all lists of `length` numbers in a file's arrays and attributes. If `length` is 1, return none.
+    """Return all lists of `length` numbers in a file's arrays and attributes. If `length` is 1, the result is empty.
 
     The keys of the result are (group, name). For an attribute, the group is the path of the group or array that has the
     attribute.

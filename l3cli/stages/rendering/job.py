@@ -75,7 +75,7 @@ class Job:
 
     @property
     def in_order(self) -> bool:
-        """Whether exposure and white change smoothly from frame to frame. For stills, each frame is independent."""
+        """Whether exposure and white change smoothly from frame to frame, instead of being independent for each still."""
         return not (self.sequence.stills and self.destination.pictures)
 
     @property
