@@ -202,7 +202,7 @@ class TransformTable(Artifact):
         if self.later and (len(self.later) > 1 if self.components else len(self.outputs) != 3):
             raise ValueError(
                 f"refinement layers require three outputs, but there are {len(self.outputs)}; a table with a different "
-                "number of outputs can have only one refinement layer, which must correct components"
+                "number of outputs can have only one refinement layer, and must have components, which this layer corrects"
             )
         if self.later and self.later[-1].coarse_chroma and not self.chroma_outputs:
             raise ValueError("coarse_chroma requires components whose chroma planes each equal an output")
@@ -219,8 +219,8 @@ class TransformTable(Artifact):
         taps = layer.window_taps
         if layer.side % 2 == 0 or layer.ratio_taps not in RATIO_TAPS:
             raise ValueError(
-                f"side is {layer.side} and weights has {layer.weights.shape[2]} taps; side must be odd, and {PLANES} "
-                f"windows of this side have {taps} taps, plus {' or '.join(map(str, RATIO_TAPS))} extra taps"
+                f"side is {layer.side} and weights has {layer.weights.shape[2]} taps; side must be odd, and weights must "
+                f"have the {taps} taps of {PLANES} windows, plus {' or '.join(map(str, RATIO_TAPS))} extra taps"
             )
 
     @property
