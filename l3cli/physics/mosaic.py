@@ -21,10 +21,18 @@ def shifted_cfa(cfa: NDArray[np.uint8], phase: tuple[int, int]) -> NDArray[np.ui
     return np.roll(cfa, (-phase[0], -phase[1]), axis=(0, 1))
 
 
+MOST_DISTINCT = 3  # largest number of channels whose responsivities need not overlap
+
+
 def channel_reach(cfa: NDArray[np.uint8]) -> int:
-    """Return the radius, in pixels, of the smallest square window that contains all channels at every position."""
+    """Return the radius, in pixels, of the smallest square window that contains all channels at every position.
+
+    If the CFA has more than three channels, one channel may be missing in each window. The responsivities of so many
+    channels overlap, so no surface is dark in one channel only.
+    """
     channels, reach = np.unique(cfa), 0
-    while not all(_near(cfa == channel, reach).all() for channel in channels):
+    least = channels.size - (channels.size > MOST_DISTINCT)
+    while np.sum([_near(cfa == channel, reach) for channel in channels], axis=0).min() < least:
         reach += 1
     return reach
 

@@ -234,8 +234,9 @@ def pixels_of(table: TransformTable, signal: NDArray[np.float64]) -> RawFrame:
     return RawFrame("pixels", np.rint(values).astype(np.uint16), table.black_level, table.white_level)
 
 
-def test_a_black_pixel_gets_half_of_the_smallest_raw_value_nearby() -> None:
-    table = with_clipped_white(random_table(BAYER, 16, 64.0), 1.2)
+@pytest.mark.parametrize("cfa", [BAYER, FIVE_BAND])
+def test_a_black_pixel_gets_half_of_the_smallest_raw_value_nearby(cfa: NDArray) -> None:
+    table = with_clipped_white(random_table(cfa, 16, 64.0), 1.2)
     signal = np.full((9, 11), 0.4)
     signal[:, 7:] = 0.1
     least = least_luminance(pixels_of(table, signal), table)
@@ -262,9 +263,9 @@ def test_raising_does_not_change_the_mean_of_noise_in_the_dark() -> None:
 
 @pytest.mark.parametrize(
     ("cfa", "reach"),
-    [([[0]], 0), (BAYER, 1), (np.repeat(np.repeat(BAYER, 3, 0), 3, 1), 2), (np.arange(16).reshape(4, 4), 2)],
+    [([[0]], 0), (BAYER, 1), (np.repeat(np.repeat(BAYER, 3, 0), 3, 1), 2), (FIVE_BAND, 1), (np.arange(16).reshape(4, 4), 2)],
 )
-def test_the_window_contains_every_channel(cfa: NDArray, reach: int) -> None:
+def test_the_window_contains_every_channel_or_lacks_one_of_many(cfa: NDArray, reach: int) -> None:
     assert channel_reach(np.asarray(cfa, np.uint8)) == reach
 
 
