@@ -24,7 +24,7 @@ STEP = 3.0  # a response that differs from both neighbouring responses by more t
 END = 20.0
 LEAST = 0.02  # differences below this fraction of the largest response or signal are ignored
 NEAR_TOP = 0.85  # signals above this fraction of the largest signal may be saturated
-LONGEST = 20.0  # a saturated capture may be overexposed by at most this factor
+LONGEST = 20.0  # a saturated capture is implausible if its expected signal exceeds the largest signal by this factor
 DRIFT = 0.05  # DN; tolerated drift of the black level
 Array = NDArray[np.float64]
 

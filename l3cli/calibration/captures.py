@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 DEGREE = 4  # degree of the polynomial that models the shading
 CELLS = (36, 54)  # largest numbers of rows and columns of cells; the polynomial is fitted to the means of the cells
 GRID = (33, 49)  # rows and columns of the stored grid, fine enough to interpolate cos⁴ with an accuracy of 0.1 %
-UNEVEN = 0.05  # largest relative RMS deviation of the means from the polynomial; lens shading deviates less
+UNEVEN = 0.05  # largest relative RMS deviation of the cell means from the polynomial; lens shading stays below this limit
 LEAST_SIGNAL = 0.02  # smallest median of white frames, as a fraction of full scale
 MOST_DEFECTIVE = 0.05  # if a larger fraction of the pixels seems defective, the frames are unsuitable
 
@@ -68,7 +68,8 @@ class Charts:
 
     illuminants: tuple[str, ...]  # illuminant of each chart capture
     values: Array  # (chart, patch, channel): mean value in DN, without dark signal
-    # (chart, patch, wavelength): photons on a pixel in each hat function (triangular basis function), with lens falloff
+    # (chart, patch, wavelength): photons that a pixel receives, weighted by each hat function (triangular basis function);
+    # includes lens falloff
     photons: Array
 
 

@@ -23,7 +23,7 @@ SHOWN = 8  # number of defective pixels in the text; JSON and the artifact conta
 LEAST_EFFICIENCY = 0.01  # a lower peak quantum efficiency is probably due to a wrong unit
 MOST_MISFIT = 0.03  # largest acceptable RMS error of a photo's patches, as a fraction of the brightest patch
 LARGEST_POWER = 4  # factors of 10^4 and above are printed as powers of ten
-TINY_LEAKAGE = 1e-6  # lower limit of leakages, so that errors of extinction ratios are finite
+TINY_LEAKAGE = 1e-6  # smaller leakages are replaced by this value, because the extinction ratio of no leakage is infinite
 LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # validation limits for each channel; the RMSE is relative to the mean signal
 
 

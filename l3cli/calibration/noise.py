@@ -220,9 +220,9 @@ def error_of_root(deviation: Any, error: Any) -> Any:
 def line_noise(squares: Sequence[tuple[float, float, int]], pixels: int) -> LineNoise:
     """Estimate temporal row or column noise (docs/method.md#row-and-column-noise).
 
-    A line is a row or a column. A chi-squared test decides whether the noise is significant: in a sensor without line noise,
-    a ratio between the mean squares of lines and pixels that is as large as the measured one must have a probability of at
-    most `CHANCE`. Fixed patterns have no effect, because the mean squares come from differences between frames.
+    A line is a row or a column. A chi-squared test compares the mean square of the lines with the mean square of the pixels.
+    The noise is significant if their ratio would be as large in a sensor without line noise with a probability of at most
+    `CHANCE`. Fixed patterns have no effect, because the mean squares come from differences between frames.
 
     Parameters
     ----------

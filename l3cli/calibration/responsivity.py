@@ -20,7 +20,7 @@ from l3cli.physics import spectra
 NODE_STEP = 5.0  # nm; distance between hat functions; 10 nm would double the error (docs/method.md#responsivity)
 EDGE = 0.01  # radiances below this fraction of the peak are ignored
 PLATEAU = 1.05  # smoothing weights with an error up to 5 % above the minimum count as equally good
-PILOT = 10.0  # smoothing weight of the pilot curve for confidence bands, relative to the curve itself
+PILOT = 10.0  # smoothing weight of the pilot curve for confidence bands, divided by the smoothing weight of the curve itself
 BAND_FLOOR = 0.0002  # smallest half width of a confidence band, as a fraction of the peak
 COVERAGE = 1.96  # half width of a 95 % confidence band, in standard deviations
 Array = NDArray[np.float64]
@@ -512,8 +512,9 @@ def fit_gain(photons: Array, values: Array, black_level: float) -> tuple[float, 
 def gain_error(photons: Array, values: Array, black_level: float, alpha: float, beta: float, drift: float) -> float:
     """Return the standard error of `alpha`, the slope in Eq. 2.
 
-    It is a standard deviation divided by the square root of the number of charts. This deviation is the larger of two: the
-    standard deviation between the slopes of the charts, fitted separately, and the one that the declared lamp drift causes.
+    The slopes of the charts differ, because the lamps drift. Their standard deviation is taken from separate fits to each
+    chart, or from the declared lamp drift if that is larger. The standard error is this standard deviation divided by the
+    square root of the number of charts.
 
     Parameters
     ----------

@@ -17,7 +17,8 @@ class BasicKeys(Recipe):
     spacing: Literal["logarithmic", "linear"] = "logarithmic"  # spacing of the level edges
     lowest_level: float = 0.001  # upper edge of the darkest level, as a fraction of full scale
     highest_level: float = 0.95  # lower edge of the brightest level, as a fraction of full scale
-    # level edges as fractions of full scale; if this key is set, the four keys above have no effect
+    # level edges as fractions of full scale; if this key is set, `levels`, `spacing`, `lowest_level` and `highest_level`
+    # have no effect
     level_edges: tuple[float, ...] | None = None
 
     contrasts: tuple[float, ...] = (1.4,)  # edges between contrasts, as √(variance of the values / noise variance)

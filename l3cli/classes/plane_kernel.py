@@ -165,7 +165,7 @@ def kernel_arrays(rule: ClassRule, *others: ClassRule) -> tuple[NDArray, ...]:
     """Return the arrays of constants for the features, in the order of the kernel arguments.
 
     `others` are the class rules for other noise levels (docs/method.md#noise-sets). They differ from `rule` only in the
-    contrast edges and the constants of additional features, which are appended to the constants of `rule`.
+    contrast edges and in the constants of additional features. Both are appended to the arrays of `rule`.
     """
     basic = [
         np.concatenate([contrast.kernel_array(each) for each in (rule, *others)])

@@ -1,4 +1,7 @@
-"""Compute the patch statistics for features: sums of values and squares, saturation codes and window sums."""
+"""Compute the statistics of patches from which all class features are derived.
+
+The statistics are sums of values, sums of squares, saturation codes and window sums.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,7 +24,7 @@ class Statistics:
     neighbours: Neighbourhoods
     site: Integers  # (…), or (1,) if all pixels have the same site: CFA site
     sums: Integers  # (…, channel): sums of v = DN >> shift
-    squares: Integers | None  # (…, channel): sums of v²; None if the rule has only one contrast
+    squares: Integers | None  # (…, channel): sums of v²; None if the class rule does not distinguish contrasts
     code: Integers  # (…): saturation code; bit c is set if a pixel of channel c near the centre is saturated
     windows: Integers  # (…, sum): sums of v over the windows of all additional features
 
@@ -35,7 +38,7 @@ class PatchSums(NamedTuple):
     """Sums over each training patch, for patches centred on the same CFA site."""
 
     sums: NDArray[np.uint32]  # (channel, patch): sums of v = DN >> shift
-    squares: NDArray[np.uint32] | None  # (channel, patch): sums of v²; None if the rule has only one contrast
+    squares: NDArray[np.uint32] | None  # (channel, patch): sums of v²; None if the class rule does not distinguish contrasts
     code: Integers  # (patch,): saturation codes
     windows: NDArray[np.float32]  # (sum, patch): sums of v over windows of additional features; integers below 2²⁴
 

@@ -51,7 +51,7 @@ Curves = NDArray[np.float64]  # (filter, wavelength) or (wavelength,)
 class PixelRecipe(Recipe):
     """Section [pixel]: the pixel under the filters."""
 
-    camera: str = "bayer"  # camera model or camera recipe (file or name) with the sensor, the noise and the lens
+    camera: str = "bayer"  # file or name of the camera model or camera recipe that supplies the sensor, noise and lens
     # Quantum efficiency of the pixel with the lens but without a filter: a number, or the name of a CSV file. It is
     # multiplied by the transmittance of each filter.
     bare: float | str = 0.6
@@ -102,7 +102,7 @@ class LevelRecipe(Recipe):
 
 
 class OptimiseRecipe(Recipe):
-    """Section [optimise]: an array in which the Gaussian filters are optimised."""
+    """Section [optimise]: the filter array whose Gaussian filters are optimised."""
 
     pattern: list[str]  # rows of filter names
     peaks: bool = False  # whether to optimise the peaks in addition to the centres and widths
@@ -143,7 +143,7 @@ class DesignRecipe(Recipe):
 
 
 def design_faults(recipe: DesignRecipe) -> Iterator[Fault]:
-    """Yield all faults of a design recipe, except in the files with its curves."""
+    """Yield all faults in a design recipe, but not the faults in the curve files that it names."""
     for name, one in recipe.filters.items():
         yield from inside(_filter_faults(name, one, recipe.filters), "filters", name)
     arrays: list[tuple[str, KeyPath, list[str]]] = []

@@ -227,8 +227,8 @@ def ppi_difference(mosaic: Array, cfa: CFA) -> Array:
 def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direction, Array]) -> Array:
     """Return the pseudo-panchromatic image (row, col) of a mosaic (equations 23 to 28).
 
-    The result is each pixel's sample plus a weighted mean of differences at the neighbours one period away. A difference is
-    the average over one period around the neighbour, minus the neighbour's sample.
+    At each pixel, l3 subtracts the sample from the average over one period around the pixel. The result is each pixel's
+    sample, plus the weighted mean of these differences at the pixel's neighbours one period away.
     """
     smooth = values
     for axis, length in enumerate(period):

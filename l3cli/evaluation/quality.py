@@ -337,7 +337,8 @@ def judge_single(
     ), error if counted is None else np.where(counted, error, np.nan)
 
 
-# The angle is evaluated above the first degree of polarisation, and the bias below the second.
+# The error of the AoLP is evaluated where the target's DoLP exceeds POLARISED. The bias of the DoLP is evaluated where the
+# target's DoLP is below UNPOLARISED.
 POLARISED, UNPOLARISED = 0.05, 0.005
 ANGLES = (0.0, 45.0, 90.0, 135.0)  # degrees; polarisers for which intensities are compared
 

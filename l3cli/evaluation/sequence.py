@@ -34,8 +34,8 @@ FLAT = 0.1  # L*² per pixel², added to mean square gradients so that the motio
 def estimated_motion(light: Array, last: Array) -> NDArray[np.float32]:
     """Estimate the motion between two frames with subpixel precision.
 
-    The search range is about SEARCH_PIXELS · 2^(PYRAMID_LEVELS − 1) pixels in each direction, and smaller for frames that
-    are too small for all pyramid levels.
+    The search range is about SEARCH_PIXELS · 2^(PYRAMID_LEVELS − 1) pixels in each direction. For small frames, the pyramid
+    has fewer levels, so the search range is smaller.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ class FrameFigures(msgspec.Struct, forbid_unknown_fields=True):
 
     frame: int
     mean_lightness: float  # L*
-    jump: float | None  # L*; change in mean lightness since the previous frame, minus that in the ideal sequence, if any
+    jump: float | None  # L*; change in mean lightness since the previous frame, minus the ideal sequence's change, if any
     step_sigma: float | None  # L*; RMS change of pixels in still patches since the previous frame, divided by √2
     warped_error: float | None  # L*; RMS change of the error since the previous frame, along the motion of objects
     psnr: float | None  # dB; from non-linear sRGB
@@ -225,9 +225,9 @@ class SequenceEvaluation:
         self._motion: Literal["known", "estimated"] | None = None
         self._last: Array | None = None  # L* of the previous frame
         self._ideal: tuple[Array, Array] | None = None  # previous frame: L* of the ideal picture, and the error
-        self._offset = 0.0  # mean L* of the previous frame, minus that of its ideal picture, if any
-        self._sum: Array | float = 0.0  # over all frames
-        self._squares: Array | float = 0.0  # sum of squares over all frames
+        self._offset = 0.0  # mean L* of the previous frame, minus the mean L* of its ideal picture, if any
+        self._sum: Array | float = 0.0  # sum of each pixel's L* over all frames
+        self._squares: Array | float = 0.0  # sum of each pixel's squared L* over all frames
         self._range: tuple[Array, Array] | None = None  # lowest and highest L* of each pixel in the ideal sequence
 
     def add(self, rendered: Array, ideal: Array | None = None, motion: Array | None = None) -> None:

@@ -91,7 +91,7 @@ def edge_sharpness(plane: Array) -> Sharpness:
             f"the edge is slanted by {abs(np.degrees(angle)):.2g}° from the vertical, but must be slanted by 2° to 15°"
         )
     turns = int(len(rows) * abs(line[0]))  # number of columns that the edge crosses completely
-    # Use only the rows in which it crosses these columns, so that all subpixel positions are equally frequent.
+    # Use only the rows in which the edge crosses these columns, so that all subpixel positions are equally frequent.
     rows = rows[: round(turns / abs(line[0]))]
     distance = (np.arange(plane.shape[1]) - np.polyval(line, rows)[:, None]) * np.cos(angle)
     inside = np.abs(distance) < HALF_PROFILE_PIXELS
@@ -178,7 +178,7 @@ class GreyNoise:
 
 
 def measured_snr(plane: Array) -> float:
-    """Return the signal-to-noise ratio in a picture of a uniform target: mean divided by standard deviation, at least 0."""
+    """Return the SNR in a picture of a uniform target: the mean divided by the standard deviation, or 0 if negative."""
     return max(float(plane.mean() / max(plane.std(), 1e-30)), 0.0)
 
 

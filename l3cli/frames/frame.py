@@ -71,7 +71,7 @@ class RawFrame:
     noise_left: NoiseLeft | None = None  # remaining noise fraction of each cell; None for 1 everywhere
     warps: tuple[LensWarp, ...] = ()  # lens corrections for the rendered picture, in order of application
     notes: tuple[str, ...] = ()  # warnings about processing that the file requests but l3 does not support
-    exchangeable: bool = False  # whether cols×rows pixels would fit a headerless file as well as rows×cols
+    exchangeable: bool = False  # whether a headerless file would also fit a frame with rows and columns exchanged
     misread: str = ""  # option that would decode the file to a plausible picture; "" unless the values look like noise
 
     def __post_init__(self) -> None:

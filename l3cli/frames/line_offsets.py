@@ -3,11 +3,12 @@
 The following description is for rows. Columns are corrected in the same way, after the rows.
 
 1. *Differences.* For each pair of rows that are one row, or one CFA period, apart, l3 computes the mean difference between
-   pixels of the same channel. Only differences that the noise can explain vote. Edges, clipped pixels and hot pixels do not.
+   pixels of the same channel. A pixel difference *votes* (enters the mean) only if noise can explain it. Differences at
+   edges, clipped pixels and hot pixels do not vote.
 2. *Variance.* The frame is divided into blocks of columns. A row has the same offset in all blocks, so the variance between
    the blocks, beyond the noise of the pixels, is due to the scene. It increases the variance of the mean difference.
-3. *Rejection.* Pairs with few votes are left out. So are pairs whose difference is larger than offsets can cause, such as
-   the two rows at a horizon.
+3. *Rejection.* Pairs of rows with few votes are left out. Pairs with a mean difference that is too large for row offsets,
+   such as the two rows at a horizon, are also left out.
 4. *Offsets.* The most probable offsets are computed from the differences. Their prior distribution has the mean 0 and the
    variance of the camera's row noise. A slow trend of the differences, as in a sky, is attributed to the scene.
 5. *Limits.* The local mean of the offsets is subtracted, because it cannot be distinguished from the scene. If neighbouring
@@ -35,11 +36,11 @@ MIN_VOTES = 0.5  # smallest fraction of a pair's unclipped pixels that must vote
 BLOCK_CORRELATION = 3.0
 POOLED_PAIRS = 4  # number of pairs before and after a pair that contribute to its variance between blocks
 SIGNIFICANT = 3.0  # standard deviations from which a pair's own variance between blocks counts if it is larger
-MAX_DIFFERENCE = 4.0 * np.sqrt(2)  # standard deviations of an offset; largest difference of two lines
+MAX_DIFFERENCE = 4.0 * np.sqrt(2)  # largest difference between two lines' offsets, in standard deviations of an offset
 TREND_PASSES = 2  # passes in which the trend of the differences is estimated
 # Mean square of neighbouring offsets, relative to their variance, from which they are reduced, and at which they become 0.
 PLAUSIBLE, IMPLAUSIBLE = 1.5, 3.0
-MAX_OFFSET = 3.0  # standard deviations of an offset
+MAX_OFFSET = 3.0  # largest estimated offset, in standard deviations of an offset
 Floats = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
@@ -77,7 +78,10 @@ def without_picture_offsets(frame: RawFrame, camera: CameraModel) -> RawFrame:
 
 
 def _directions(camera: CameraModel) -> list[tuple[int, float, float]]:
-    """Return each axis along which a camera has offsets, the variance of these offsets, and that along the other axis."""
+    """List the axes along which a camera has line offsets (0 for rows, 1 for columns).
+
+    Each entry contains the axis, the variance of the offsets along this axis in (e-)², and the variance along the other axis.
+    """
     noise = camera.noise
     rows = noise.row_temporal_noise**2 + noise.row_noise**2
     columns = noise.column_temporal_noise**2 + noise.column_noise**2

@@ -256,14 +256,14 @@ class Measurements:
 
 @dataclass(frozen=True)
 class StatedMatrix:
-    """Matrix in a raw file that converts the XYZ of a surface under one illuminant to camera signals."""
+    """Colour matrix in a raw file. It converts XYZ to camera signals, and applies to one illuminant."""
 
     light: str  # name of the illuminant
     assumed: bool  # whether the illuminant is assumed, because the file does not name it
     rows: dict[int, NDArray[np.float64]]  # colour code of a channel → row of the matrix, (3,)
 
     def of(self, codes: Sequence[int | None]) -> NDArray[np.float64]:
-        """Return the matrix rows for these colour codes, except None: (channel, 3)."""
+        """Return the matrix rows of channels with these colour codes: (channel, 3). A code of None is skipped."""
         return np.array([self.rows[code] for code in codes if code is not None])
 
 

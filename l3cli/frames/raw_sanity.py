@@ -45,10 +45,11 @@ ARRAYS_DIFFER = 0.05
 MOST_SITES_DIFFER = 0.03
 # The scene has stripes if a factor per row or column explains all but this fraction of the differences.
 STRIPED = 0.25
-SLANTED = 0.03  # the same for stripes with a factor per slanted line
+SLANTED = 0.03  # the same limit for slanted stripes, with a factor per slanted line
 SLANTS = ((1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))  # lines on which row · first + column · second is constant
-# Two limits distinguish a checkerboard in the scene from a different CFA: the minimum range of the sites in the mean
-# super-pixel, relative to their mean, and the minimum contrast of any site, relative to the maximum contrast.
+# Two limits distinguish a checkerboard in the scene from a different CFA. In the mean super-pixel, the largest and the
+# smallest site must differ by at least CHECKED_SITES_DIFFER of the mean over all sites. The contrast of the checkerboard at
+# each position must be at least LEAST_CHECK of its maximum contrast.
 CHECKED_SITES_DIFFER = 0.15
 LEAST_CHECK = 0.1
 CHECK_FITS = 30  # number of alternating fits of super-pixel and checkerboard; needed if the squares have an odd size
@@ -57,7 +58,9 @@ TWO_GAINS = 2.0  # minimum ratio of the two gains in sensors in which pairs of r
 NOISE_COLUMNS, NOISE_PERCENTILE = 8, 25
 UNCLIPPED = 0.8  # fraction of full scale; noise is measured only in areas with a lower mean
 MIN_NOISE = 0.5  # DN²; smaller variances are mainly rounding errors
-CONTROL = 3.0  # smaller multiples of the difference at a period that no CFA has are no evidence of a wrong CFA
+# A difference between sites is evidence of a wrong CFA only if it is at least this multiple of the difference that is found
+# for a control period, which no CFA has.
+CONTROL = 3.0
 FITS = 0.01  # sites that differ by less count as equal
 SMALLEST_BLACK = 16.0  # DN; lower black levels are not checked
 BELOW = 0.5  # fraction of a correct black level that even noisy dark pixels exceed
@@ -410,9 +413,9 @@ def share_below_black(frame: RawFrame) -> float:
 def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
     """Return the probable black level, in DN, of a frame with a stated black level of 0.
 
-    If the stated level is wrong, the darkest values of all channels are close to the true black level, far above 0. Relative
-    to their mean, they differ less between channels than the medians do. If they were caused by light, they would differ in
-    proportion to the filters' transmittances.
+    If the stated level is wrong, the darkest values of all channels are close to the true black level, far above 0. They are
+    then more similar in all channels than the medians are. Dark values due to light would instead differ between channels
+    as much as the medians, in proportion to the filters' transmittances.
 
     Returns
     -------

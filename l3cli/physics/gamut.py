@@ -5,8 +5,9 @@ so that white has s = (1, 1, 1). Its lightness is L = λ · s. Greys have s = (L
 hue are on the line s(t) = L + t (s − L). Along this line, each linear value is a cubic polynomial in t.
 
 1. **Negative values.** The colour moves towards grey until no linear value is negative. Its position t is the smallest root
-   of the three cubics. Each root is approximated by one step of Halley's method. All three steps start at the same t: the
-   root of the straight line between the values, at t = 0 and t = 1, of the cubic that is lowest at t = 1.
+   of the three cubics. Each root is approximated by one step of Halley's method. All three steps start at the same t. It is
+   computed from the cubic that is lowest at t = 1: a straight line through this cubic's values at t = 0 and t = 1 is zero
+   at the starting t.
 2. **Values above 1.** The colour is darkened until no linear value is above 1, which preserves the OkLab hue. In addition,
    the colour is clipped to 1. The result is the mean of the darkened and the clipped colour with the weights 1 − Y⁴ and Y⁴.
    Bright highlights therefore become as bright as possible and end in white.

@@ -29,14 +29,16 @@ from l3cli.frames.frame import RawFrame
 from l3cli.physics.correlated_lights import mired_of
 
 MIN_VARIANCE = 1e-30  # noise variance in DN² that is assumed where all channels clip
-# Smallest signal-to-noise ratio of a level from which another gain's refinement layers may use transforms. Transforms of
+# At another gain, refinement layers reuse the transforms of levels with at least this signal-to-noise ratio. Transforms of
 # darker levels would leave more noise.
 DARKEST_REFINED = 2.0
-LEFT = (1 / 16, 1 / 4)  # noise fractions, after the temporal filter, for which transforms of a lower gain are prepared
+# Fractions of the noise variance that may remain after the temporal filter. For each fraction, a low-noise set is prepared
+# from the transforms of a correspondingly lower gain.
+LEFT = (1 / 16, 1 / 4)
 GAINS_PER_DOUBLING = 12  # transforms are computed for this number of gains per octave
 SAME_GAIN = 0.01  # gains with a smaller relative difference count as equal
 FAR_GAIN = 1.5  # l3 warns if a gain is outside the range of known analog gains by more than this factor
-CLEARLY_LESS = 0.75  # transforms of a lower gain are used only if it is below this fraction of the frame's gain
+CLEARLY_LESS = 0.75  # transforms of a lower gain are used only if this gain is below 0.75 times the frame's gain
 
 Layers = TypeVar("Layers", TransformTable, Condition)
 Float = TypeVar("Float", np.float32, np.float64)
@@ -208,6 +210,7 @@ def at_gain(table: TransformTable, gain: float) -> TransformTable:
     Returns
     -------
     TransformTable
+        Table for the new gain.
     """
     if gain == 1 or table.camera is None:
         return table

@@ -1,6 +1,7 @@
-"""Determine the automatic exposure, and the fraction of pixels for which a table was not trained.
+"""Determine the automatic exposure, and the fraction of pixels that lie outside the trained range of a table.
 
-Except for the exposure of stills, everything is measured on about 1500 pixels per frame. See docs/method.md#display.
+Only the exposure of stills is measured on all pixels. All other measurements use about 1500 pixels per frame. See
+docs/method.md#display.
 """
 
 import functools
@@ -151,9 +152,9 @@ def _white(luminance: NDArray[np.floating], clipped: NDArray[np.bool_]) -> float
     """Return the luminance to display as white: the 99th percentile, corrected for noise in clipped areas.
 
     Noise raises the percentile, so that a uniform white would look grey. This is visible where some channels clip, because
-    fewer channels contribute to the luminance. The result is therefore the mean of a value over all pixels within
-    `NOISE_WHERE_CLIPPED` of the percentile. For clipped pixels, this value is their luminance. For all others, it is the
-    percentile.
+    fewer channels contribute to the luminance. The correction averages over all pixels with a luminance within
+    `NOISE_WHERE_CLIPPED` of the percentile. A clipped pixel contributes its own luminance to the mean, and any other pixel
+    contributes the percentile.
     """
     white = white_percentile(luminance)
     alike = np.abs(luminance - white) <= NOISE_WHERE_CLIPPED * white

@@ -79,6 +79,7 @@ def seen_frequencies(mains: int, rate: Fraction, frames: int) -> list[float]:
     Returns
     -------
     list of float
+        The aliased frequency of the fundamental, then of the second harmonic, unless they are omitted.
     """
     found: list[float] = []
     for harmonic in HARMONICS:

@@ -21,11 +21,13 @@ from l3cli.system.text import counted
 
 MAX_OVERSHOOT = 1.5  # largest plausible value of a saturated pixel, relative to the white level
 SHALLOW = 0.55  # a sensor that clips below this fraction of the white level probably has a lower bit depth than stated
-CLIPPED = 1e-3  # the sensor is assumed to clip if at least this fraction of the pixels has the largest value
+CLIPPED = 1e-3  # the sensor is assumed to clip if at least this fraction of the pixels has the frame's largest value
 NEAR_BLACK = 0.75  # a value is near the black level if their ratio is between 0.75 and 1 / 0.75
 BLACK_PERCENTILE = 0.1  # in most pictures, this percentile of the values is near the black level
 SAME_DEPTH = 0.02  # white levels with a smaller relative difference belong to the same bit depth
-SHEARED = 1.5  # the size is probably wrong if cols×rows pixels would make neighbouring rows more similar by this factor
+# Rows and columns were probably swapped if swapping them back reduces the differences between neighbouring rows by more than
+# this factor.
+SHEARED = 1.5
 ROW_PAIRS = 64  # number of row pairs to compare
 
 NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # smallest fractions to report

@@ -25,7 +25,9 @@ CHROMA_NEIGHBOURS = ((-1, -1), (-1, 1), (1, -1), (1, 1), (-4, 0), (4, 0), (0, -4
 FAR_CHROMA_NEIGHBOURS = ((-5, -5), (-5, 5), (5, -5), (5, 5), (-8, 0), (8, 0), (0, -8), (0, 8))
 FAR_LIKENESS = 0.5  # far neighbours show other surfaces more often, so their chroma must be closer by this factor
 CHROMA_REACH = 8  # largest offset in pixels
-MAX_CONTRAST = 4.0  # limit of the contrast around a pixel, relative to its luminance; dark pixels next to lights would blur
+# The contrast around a pixel is limited to this multiple of the pixel's luminance. Without the limit, chroma smoothing would
+# blur dark pixels next to bright lights.
+MAX_CONTRAST = 4.0
 
 # A pixel's luminance must not fall below the smallest nearby raw value (relative to white), multiplied by one of these
 # factors. The first factor applies to values above the black level, the second factor to values below it. The second factor

@@ -37,7 +37,7 @@ ANY_RATE = Fraction(30)  # frame rate if only the first frame is measured; its v
 class Rendition:
     """Settings for converting a table's outputs to pictures."""
 
-    balance: WhiteBalance | None  # white balance if the white is not measured; None: write the outputs unchanged
+    balance: WhiteBalance | None  # fixed white balance, unless one is measured per frame; None: write the outputs unchanged
     exposure: float | None  # factor by which Y is multiplied; None: automatic exposure
     bits: int  # bits per value: 8, 16 or FLOAT_BITS
     space: Space | None = SRGB  # None: the outputs are not colours
@@ -221,8 +221,8 @@ def frame_and_display(
 class FrameMeter:
     """Determines the exposure scale and the white balance, frame by frame.
 
-    In a sequence, both follow the measurements smoothly. On a grey object or a chart, the white is measured only in the
-    first frame. Each still has its own white, and its automatic exposure is determined after rendering.
+    In a sequence, both follow the measurements smoothly. If the white is measured on a grey object or a chart, it is
+    measured only in the first frame. Each still has its own white, and its automatic exposure is determined after rendering.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ EDGE_MARGIN = 2  # pixels; closer to an edge, lens blur and demosaicking mix bot
 class Sprite:
     """Coverage and brightness of a moving leaf, sampled on a grid around its centre."""
 
-    step: float  # pixels per sample
+    step: float  # distance between two samples, in pixels
     cover: Cube  # (row, col, 2), covered fraction of each sample, and covered fraction × relative brightness
     colour: NDArray[np.float32]  # (band,), reflectance or signal
 
@@ -76,7 +76,7 @@ def frame(canvas: Cube, scale: float, course: Course, things: list[Sprite], numb
     canvas : ndarray, (row, col, band)
         The scene over which the camera moves.
     scale : float
-        Pixels per sample of the canvas, without zoom.
+        Distance between two samples of the canvas, in pixels of a frame without zoom.
     course : Course
         Motion of the camera and of the leaves.
     things : list of Sprite
@@ -120,7 +120,7 @@ def sampled(
     place : tuple of float
         Position of the cube's centre (down, across), in pixels of a frame without zoom.
     scale : float
-        Pixels per sample of the cube, without zoom.
+        Distance between two samples of the cube, in pixels of a frame without zoom.
     top : tuple of int
         Row and column of the first pixel to compute.
     window : tuple of int, optional
@@ -176,7 +176,7 @@ def _part(picture: NDArray[Any], cover: Cube, step: float, view: View, place: Ar
     cover : ndarray, (row, col, band)
         Coverage of the leaf.
     step : float
-        Pixels per sample of `cover`.
+        Distance between two samples of `cover`, in pixels.
     view : View
         Position and zoom of the camera.
     place : ndarray, (2,)

@@ -123,7 +123,7 @@ class LabRecipe(Recipe):
 
 
 def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]:
-    """Find the faults of a lab recipe, including reasons why the lab cannot measure `camera` if it is known."""
+    """Find the faults in a lab recipe and, if `camera` is known, the reasons why the lab cannot measure it."""
     mono = recipe.mono
     if mono.bandwidth_nm <= recipe.spectrometer_step_nm:
         message = (
@@ -489,7 +489,7 @@ def falloff_at_patches(camera: CameraModel, missing: float) -> Array:
 
 
 def lab_recipe_faults(recipe: LabRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Find the faults of a lab recipe, including unknown illuminants and reasons why the lab cannot measure the camera."""
+    """Find the faults in a lab recipe, including unknown illuminants and reasons why the lab cannot measure the camera."""
     yield from lab_faults(recipe, source.camera)
     yield from source.attempt(("white", "illuminant"), spectra.require_illuminant, recipe.white.illuminant)
     yield from source.attempt(("polariser", "illuminant"), spectra.require_illuminant, recipe.polariser.illuminant)

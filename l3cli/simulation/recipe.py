@@ -178,7 +178,7 @@ def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]
 
 
 def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fault]:
-    """Find the faults of a scene recipe, including conflicts with `camera` if it is known."""
+    """Find the faults in a scene recipe, including conflicts with `camera` if it is known."""
     if not (recipe.scene or recipe.pair):
         yield fault("the recipe contains no scenes; add [[scene]] or [[pair]]", "scene", "pair")
     if recipe.luminances_cd_m2 is not None and recipe.lux is not None:

@@ -630,7 +630,7 @@ def _require_no_mark(values: NDArray, ignored: NDArray[np.bool_] | None) -> None
 
 
 def _photons(wavelength: np.ndarray, source: Spectral) -> np.ndarray:
-    """Return the number of photons per unit of the stored values at each wavelength, up to a common factor."""
+    """Return the factor (wavelength,) that converts the stored values of a cube to photons, in relative units."""
     one = np.ones(wavelength.size)
     return spectra.photons_from_energy(wavelength, one) if source.holds == "radiance" else one
 

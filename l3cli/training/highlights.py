@@ -28,7 +28,7 @@ CLIPPING_FRACTIONS = (0.94, 0.97, 1.0)
 # Number of greys per training patch, divided by the ratio of clipped to unclipped filters. With a value of 1, the borders
 # between classes would be visible.
 GREYS_PER_PATCH = 4.0
-MAX_GREYS_PER_PATCH = 30.0  # upper limit of this number, reached if every channel clips
+MAX_GREYS_PER_PATCH = 30.0  # upper limit of the number of greys per training patch, reached if every channel clips
 UNCLIPPED_FRACTION = 0.2  # assumed fraction of clipped filters if no filter clips; it results in one grey per patch
 WHITE_TOLERANCE = 0.1  # largest relative difference between the camera model's signals of white and the patches' estimate
 OUTPUT_CUTOFF = 1e-6  # relative cutoff of the singular values in the regression on the outputs

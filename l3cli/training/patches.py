@@ -312,8 +312,11 @@ def _centres(frame: TrainingFrame, side: int, count: int, rng: np.random.Generat
 def levels_at(recipe: LearningRecipe, places: NDArray[np.float64]) -> NDArray[np.float64]:
     """Map uniform random numbers to random levels (docs/method.md#level-rescaling).
 
-    The levels are log-uniform within three ranges: `highlight_share` of the levels between `highlight_from` and `brightest`,
-    `dark_share` between half of `darkest` and `darkest`, and all others between `darkest` and `brightest`.
+    Each level is drawn from one of three ranges, log-uniformly within the range:
+
+    1. with the probability `highlight_share`, from `highlight_from` to `brightest`,
+    2. with the probability `dark_share`, from half of `darkest` to `darkest`,
+    3. otherwise, from `darkest` to `brightest`.
 
     Parameters
     ----------

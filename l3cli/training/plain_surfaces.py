@@ -144,7 +144,7 @@ EDGES = 0.1, 0.2, 0.4  # titanium white's ratio of absorption to scattering (K/S
 WIDTHS = 6.5, 9.5  # width of titanium white's absorption edge, in nm
 BARE = 2  # number of copies of each surface without titanium white; there are six copies with titanium white
 GREYS = np.geomspace(0.03, 0.95, 12)  # reflectances of white and grey paints
-GREY_SHARE = 100.0  # total weight of the paints within a chroma, relative to all other surfaces
+GREY_SHARE = 100.0  # total weight of the white and grey paints, divided by the total weight of a chroma's other surfaces
 OF_WHITE = 3.0  # additional weight of the chroma of white, where a colour cast is most visible
 # Typical distance of the chroma of noisy dark greys from the chroma of white, in units of 1 / number of channels
 NEAR_WHITE = 0.2

@@ -26,7 +26,9 @@ MOST_REFINEMENT = 3  # largest number of refinement layers
 MOST_STRENGTH = 1e5  # largest value in `strengths`, far above the trace of any structure tensor
 MOST_OF_HIGHLIGHTS = 0.5  # largest automatic `darkest`, as a fraction of `highlight_from`; reached only with very high noise
 LEAST_SENSITIVE = 1 / 16  # smallest relative sensitivity of a channel with one refinement layer (docs/method.md#exposures)
-LEAST_BETWEEN = 1 / 4  # smallest relative sensitivity with several refinement layers, which exchange 16-bit planes
+# Smallest relative sensitivity of a channel with several refinement layers. The layers exchange 16-bit planes, which limits
+# the range of sensitivities.
+LEAST_BETWEEN = 1 / 4
 LEAST_STEP = 0.001  # smallest difference between two values in `strengths`, which are stored as integers
 ErrorPower = Annotated[float, msgspec.Meta(ge=0, le=0.5)]
 MOST_DRAWS = 1000  # largest number of levels per patch; more levels would add no information
@@ -114,7 +116,8 @@ class LayerRecipe(Recipe):
     level_step: Count = 1  # number of first-layer levels merged into one level of this layer
     # boundaries between structure strengths: trace of the structure tensor, relative to its trace from noise alone
     strengths: tuple[Positive, ...] = (1.7, 8.0)
-    coherence: Share = 0.48  # smallest fraction of the trace along one direction at which an edge has a direction
+    # an edge gets a direction class if the structure tensor's component in this direction exceeds this fraction of its trace
+    coherence: Share = 0.48
     # number of training mosaics over all frames
     mosaics: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 5400
     achromatic: Share = 0.2  # fraction of the mosaics in which greys replace all colours
@@ -176,14 +179,11 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     camera : CameraModel
         Camera for which the table is trained.
 
-    Returns
-    -------
-    TrainingRecipe
-
     Raises
     ------
     RecipeError
-        If the channels differ more in sensitivity than a table with this number of layers allows.
+        If the sensitivities of the channels differ by a larger factor than the recipe's number of layers allows
+        (LEAST_SENSITIVE, LEAST_BETWEEN).
     """
     learning, sensitivity = recipe.learning, camera.sensitivity
     mean = float(sensitivity.mean())

@@ -122,8 +122,8 @@ def parent_of(index: Any, rule: ClassRule) -> Any:
     return rule.join_cases(place.level, place.contrast, rule.case(place.kind))
 
 
-# Differences between the responses of different sites are penalised. In this penalty, a textured patch has this weight,
-# relative to a uniform patch.
+# In textured classes of spectral tables, the response of a site may deviate from the common response. The deviation is
+# penalised like an error in uniform patches that have this fraction of the power of the class's own patches.
 UNIFORM_WEIGHT = 0.2
 # If noise has μ times the power of the signal, uniform surfaces have the weight 1 / (1 + 1000 μ + (2000 χ μ)²). χ is 1 for
 # the chroma of white and falls to 0 away from white (docs/method.md#uniform-surfaces).

@@ -145,7 +145,7 @@ def has_two_passes(head: TrainingSet, recipe: LearningRecipe) -> bool:
 # would slow down the matrix products.
 BATCH_PATCHES = 50_000
 LAYER_SAMPLES = 300_000  # like BATCH_PATCHES, for the samples of refinement layers
-SUM_BYTES = 200 << 20  # memory limit in bytes for one process's sums, but at least two sites are always allowed
+SUM_BYTES = 200 << 20  # limit of the memory for one process's sums, in bytes; the sums of two sites may exceed it
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,8 @@ def work_shares(pass_: TrainingPass, divisors: Mapping[int, int], blocks: list[r
     Returns
     -------
     list of WorkShare
-        A multiple of `jobs` shares, without empty shares. The sums of all sites in a share fit into memory.
+        The shares. The work is divided into a multiple of `jobs` nearly equal parts, so that the sums of all sites in a part
+        fit into SUM_BYTES. Empty parts are omitted.
     """
     one = empty_sums(pass_.rule, len(pass_.head.outputs), pass_.head.camera)
     most = max(2, SUM_BYTES // one.moments.nbytes)  # largest number of sites per share

@@ -20,8 +20,8 @@
 #define PLANES_MADE OUTPUTS
 #define READ_AHEAD ONCE
 
-// Whether the weights are read only once if both pixels of a pair have the same class. Fixed-point layers always read them twice, because classes
-// change so often that mispredicted branches would take longer.
+// True if both pixels of a pair have the same class, so that they can share one read of its weights. In fixed-point layers, classes change so often
+// that mispredicted branches would cost more time than the shared reads save. These layers therefore always read the weights twice.
 #ifdef FIXED_POINT
 #define SHARED(class, other) false
 #else

@@ -19,7 +19,8 @@ from l3cli.physics import spectra
 WAVELENGTH = np.arange(400.0, 721.0, 10.0)  # nm; all published camera responsivities cover this range
 ROLES = ("r", "g", "b")  # channels of the measured cameras
 MODES = 16  # number of principal components of measured cameras; more components would not change the results
-# The prior of measured cameras includes smooth deviations: their fraction of the variance, and correlation length in nm.
+# The prior of measured cameras includes smooth deviations. The constants are the deviations' fraction of the variance and
+# their correlation length in nm.
 SMOOTH_SHARE, SMOOTH_NM = 0.1, 25.0
 LEAST_SPREAD = 0.01  # smallest standard deviation between cameras, as a fraction of the peak
 # Mean, standard deviation and correlation length (nm) of the responsivity of an unknown filter.

@@ -27,7 +27,7 @@ from l3cli.rendering.reference import raising_constants, white_scale
 
 EXTRA_CFA_COLUMNS = 31  # repeated columns per CFA row, so that two vectors of 16 can be loaded at any phase
 SIDE_BY_SIDE_OUTPUTS = (3, 4)  # numbers of floating-point outputs for which side_by_side.cl is used
-SIDE_BY_SIDE_TAPS = 25  # maximum number of taps for which it is used
+SIDE_BY_SIDE_TAPS = 25  # maximum number of taps for which side_by_side.cl is used
 FOLDERS = {"processor": "cpu", "graphics": "gpu"}  # variant → folder inside opencl/
 SHARED = ("common/rule.cl", "common/encoding.cl")
 TRANSFORM = ("common/ratios.cl", "cpu/folding.cl", "cpu/floating_point.cl", "cpu/side_by_side.cl", "cpu/transform.cl")

@@ -3,7 +3,7 @@
 PoCL gets the processor name from its compiler, LLVM 14 from 2022. LLVM calls newer processors "generic", but does not accept
 this name as a target, so no kernel can be compiled (https://github.com/pocl/pocl/issues/1049). PoCL has no option to change
 the name. This module therefore overwrites the name in PoCL's device structure with the name of an older processor. LLVM
-supports this processor, and the actual processor has all of its instruction sets (docs/limits.md).
+supports this older processor, and the actual processor has all of its instruction sets (docs/limits.md).
 """
 
 import ctypes

@@ -336,6 +336,7 @@ class OpenCLRenderer:
         Returns
         -------
         Work
+            The enqueued commands.
         """
         levelled = frame.rescaled(self.table.black_level, self.table.white_level, self.table.bits)
         work, values = Work(self.device, self.stages), np.ascontiguousarray(levelled.values)

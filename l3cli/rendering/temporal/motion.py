@@ -20,7 +20,7 @@ Vectors = NDArray[np.int32]  # (block row, block col, 2) displacement in rows an
 MAX_COARSE_DISPLACEMENT = 2  # largest displacement in the coarsest plane, in samples of this plane
 CLIPPED = (1 << 12) - 1  # limit of absolute differences in u (module `noise`), so that kernels can sum columns in 16 bits
 SETTLED = 5  # a block is not searched if its mean absolute difference is at most 5/8 of the noise standard deviation
-RELUCTANCE = 2  # the cost of a new vector must be lower by this number of noise standard deviations
+RELUCTANCE = 2  # a new vector replaces the old one only if its cost is lower by this number of noise standard deviations
 NEIGHBOURS = ((-1, 0), (1, 0), (0, -1), (0, 1))  # offsets of the neighbouring blocks that provide candidate vectors
 
 

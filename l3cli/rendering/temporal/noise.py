@@ -202,9 +202,9 @@ def settings_of(frame: RawFrame) -> tuple[float, float | None]:
 
 
 def times_brighter(now: tuple[float, float | None], before: tuple[float, float | None]) -> float:
-    """Return the ratio of signals between two settings from `settings_of`.
+    """Return the signal of a scene at the settings `now`, divided by its signal at the settings `before`.
 
-    If either exposure time is unknown, only the gains are compared.
+    Settings are gain and exposure time from `settings_of`. If either exposure time is unknown, only the gains are compared.
     """
     times = now[1] / before[1] if now[1] and before[1] else 1.0
     return times * now[0] / before[0]

@@ -30,8 +30,8 @@ ONE = 1 << 10  # fixed-point representation of 1, for weights and noise fraction
 # The sum of squared residuals over 3 × 3 cells indicates motion only above 5/4 of its expected value. The excess is
 # multiplied by 4.
 POWER_FACTOR, POWER_FREE = 4, 5
-MEAN_FREE = 2  # the squared residual sum of single cells indicates motion only above this multiple of its expected value
-WIDE_FREE = 6  # the same for the squared residual sum of 3 × 3 cells
+MEAN_FREE = 2  # the square of a cell's residual sum indicates motion only above this multiple of its expected value
+WIDE_FREE = 6  # the same multiple for the square of the residual sum over 3 × 3 cells
 CUT = 8  # the scene has changed in a cell if the sum of its squared residuals exceeds the expected value by this factor
 CLIPPED = (1 << 14) - 1  # limit of residuals in u, so that kernels sum their squares in 32 bits
 MOST_POWER = (1 << 32) - 1  # limit of a cell's squared residuals in u², so that kernels need only 32 bits
@@ -66,7 +66,7 @@ def rescaled(before: Blend, times: float, grid: Grid, noises: tuple[NoiseTerms, 
     before : Blend
         State at the old gain and exposure time.
     times : float
-        Ratio of new to old signals.
+        Signal at the new settings, divided by the signal at the old settings.
     grid : Grid
         Cells and blocks of the frame.
     noises : tuple of NoiseTerms
@@ -75,7 +75,7 @@ def rescaled(before: Blend, times: float, grid: Grid, noises: tuple[NoiseTerms, 
     Returns
     -------
     Blend
-        State at the new settings, with noise fractions of at most 1.
+        State at the new settings. Its noise fractions (`left`) are at most ONE.
     """
     was, now = noises
     scale = np.rint(now.black + (np.arange(1 << DEEP) - was.black) * times)
@@ -153,9 +153,9 @@ def _evidence(
     pixels : ndarray, (cell row, cell col)
         Sum over all pixels of the squared residual, in u².
     cells : ndarray, (cell row, cell col)
-        Sum over the 3 × 3 cells of the squared residual sum of the cell, in u².
+        Squares of each cell's residual sum, added over the 3 × 3 cells, in u².
     neighbourhood : ndarray, (cell row, cell col)
-        Squared residual sum of the whole neighbourhood, in u².
+        Square of the residual sum over all 3 × 3 cells together, in u².
     expected : ndarray, (cell row, cell col)
         Expected value of all three measures if there is only noise, in u².
     """

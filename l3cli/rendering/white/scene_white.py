@@ -28,7 +28,8 @@ Array = NDArray[np.floating]
 MAX_CLIPPED = 0.01  # a grey area may contain at most this fraction of clipped pixels
 FLAT = 0.5  # a channel counts as clipped if more than this fraction of its pixels have the frame's largest value
 MIN_CERTAINTY = 50.0  # smallest ratio of a channel's mean signal in a grey area to the standard error of this mean
-# If the ratio is smaller, the area is reported as too dark below this fraction of full scale, and as not uniform above it.
+# A grey area with a ratio below MIN_CERTAINTY is reported as too dark if its signal is below this fraction of full scale.
+# Otherwise, it is reported as not uniform.
 DARK_FRACTION = 0.01
 
 
@@ -269,7 +270,7 @@ def _between(now: WhiteBalance, wanted: WhiteBalance, share: float) -> WhiteBala
 GREY_LEVEL = 0.4
 MAX_GAIN = 8.0  # largest channel gain; a channel that needs more contains mostly noise
 SURFACES = 64  # number of measured reflectances to which the colour correction is fitted
-UNSURE = 1e-3  # expected error of rendered colours; its square is the ridge penalty of this fit
+UNSURE = 1e-3  # expected error of rendered colours; its square is the ridge penalty of the colour correction's fit
 MIN_WEIGHT_LUMINANCE = 0.05  # darker surfaces are weighted like a surface of this relative luminance
 MAX_DUV = 0.03  # largest plausible distance of an illuminant from the black-body locus in CIE 1960 uv
 SAME_WHITE = 5e-4  # white points closer than this in CIE 1960 uv count as equal, because users enter rounded values
@@ -301,7 +302,7 @@ class SceneWhite:
 class Whites:
     """Computes white balances for one table.
 
-    The channel gains give grey objects the channel ratios that they have under the training illuminant. Otherwise,
+    The channel gains give grey objects the channel ratios that they have under the training illuminant. Without the gains,
     highlights and the edges of grey objects would be coloured. The gains can be computed only if the table contains its
     camera and its training illuminant.
 

@@ -48,7 +48,8 @@ class LayerGoal:
     noise_weights: tuple[float, ...]  # (output) weight of the noise covariance in the fit
     white: Array  # (plane) planes of a white with Y = 1, which the layer must preserve
     windows: int  # number of window taps; all other taps are 0 in uniform areas
-    # (output) chroma plane that must not be attenuated in unsaturated uniform areas, or -1 for none; () for no outputs
+    # (output) index of the chroma plane that the output must not attenuate in unsaturated uniform areas, or -1 if the output
+    # is not a chroma output; () if no output is constrained
     keeps: tuple[int, ...] = ()
     strength_pool: float = 0.0  # weight of samples from classes with the next lower and the next higher strength
     corrects: bool = False  # whether the layer's results are added to the first layer's outputs; they are 0 for white

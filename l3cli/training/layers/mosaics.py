@@ -242,7 +242,8 @@ class Seen:
     label: Integers  # (row, col) class in the first layer
     brightness: Floats  # (row, col) mean signal of all channels, corrected for clipping, as a fraction of full scale
     noisy: NDArray[np.int32]  # (plane, row, col) planes with noise, in plane steps
-    clean: Floats | None  # (plane, row, col) noise-free planes, in plane steps, with the classes of the noisy pixels
+    # (plane, row, col) noise-free planes, in plane steps, rendered with the classes of the noisy pixels
+    clean: Floats | None
     # The next two fields are None unless later layers correct the first layer's outputs.
     missing: Floats | None = None  # (row, col, output) ideal outputs minus the first layer's noise-free outputs
     spread: Floats | None = None  # (row, col, output) noise in the first layer's outputs

@@ -39,7 +39,7 @@ SAMPLES_PER_TAP = 4  # smallest number of samples per tap in a leaf, at every si
 # A column's maximum is between 2^15 and 2^16 rounding steps. Sums of products over a million samples are then exact.
 COLUMN_STEPS = 2.0**16
 TAP_RIDGE = 1e-6  # ridge of the least-squares fit, relative to the mean power of the taps
-OUTPUT_RIDGE = 1e-10  # relative to the mean power of the outputs; keeps the matrix positive definite
+OUTPUT_RIDGE = 1e-10  # ridge relative to the mean power of the outputs, which keeps the matrix positive definite
 OUTPUTS = 3  # number of target values per sample
 # A split is significant if its gain exceeds this many standard deviations of a random split's gain. The limit is high,
 # because the best of many splits is chosen.
@@ -126,9 +126,10 @@ def grow(sites: Sequence[TreeSamples], leaves: int, mapped: Mapped = map) -> Tre
     Parameters
     ----------
     sites : sequence of TreeSamples
-        Samples of each canonical site. If the sequence is empty, the tree has a single leaf.
+        Samples of each canonical site. A canonical site represents all CFA sites that are symmetric to it. If the sequence
+        is empty, the tree has a single leaf.
     leaves : int
-        Largest number of leaves.
+        Maximum number of leaves.
     mapped : callable
         `map`, or a multi-threaded function with the same interface.
 
