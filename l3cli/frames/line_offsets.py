@@ -80,7 +80,7 @@ def without_picture_offsets(frame: RawFrame, camera: CameraModel) -> RawFrame:
 def _directions(camera: CameraModel) -> list[tuple[int, float, float]]:
     """List the axes along which a camera has line offsets (0 for rows, 1 for columns).
 
-    Each entry contains the axis, the variance of the offsets along this axis in (e-)², and the variance along the other axis.
+    Each entry contains the axis, and the variances of the offsets along this axis and along the other axis in (e-)².
     """
     noise = camera.noise
     rows = noise.row_temporal_noise**2 + noise.row_noise**2
@@ -210,10 +210,10 @@ def _count_votes(mosaic: _Mosaic, lag: int, variance: float) -> _Votes:
 
 
 def _comparable(cfa: NDArray[np.uint8], row: int, lag: int) -> list[tuple[int, int]]:
-    """Return the CFA columns whose pixels in a row can be compared with pixels of the same channel `lag` rows further down.
+    """Return pairs (CFA column, distance) for comparing pixels in a row with the same channel `lag` rows further down.
 
-    The second number of each pair is the distance, in columns, of the pixels to the left and to the right whose mean is
-    compared. It is 0 if the pixel in the same column belongs to the channel.
+    A pixel in the CFA column is compared with the mean of two pixels in the lower row, `distance` columns to its left and to
+    its right. The distance is 0 if the pixel directly below belongs to the channel.
     """
     period, across = cfa.shape
     below = cfa[(row + lag) % period]

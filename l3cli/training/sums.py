@@ -143,8 +143,8 @@ def grid_steps(rule: ClassRule, camera: CameraModel, outputs: int) -> Array:
 def intercept_scale(rule: ClassRule, camera: CameraModel) -> Array:
     """Return the intercept column's typical magnitude at each level, rounded to a power of two.
 
-    Samples are divided by their level. Taps and outputs are therefore of order 1. The column of the intercept, a constant, is
-    of order 1 / level.
+    Samples are divided by their level. Taps and outputs are therefore of order 1. The intercept's column, a constant, is of
+    order 1 / level.
     """
     lower = np.maximum(level.inner_bounds(rule, camera.black_level, camera.white_level), 1e-4)
     return np.asarray(2.0 ** np.rint(-np.log2(np.append(lower[0] / 2, lower))))
