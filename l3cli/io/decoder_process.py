@@ -220,7 +220,7 @@ class _Worker:
         except (EOFError, ConnectionError):
             code = os.waitstatus_to_exitcode(os.waitpid(self._process, 0)[1])
             if code < 0:
-                with contextlib.suppress(OSError):  # SIGKILL has no handler
+                with contextlib.suppress(OSError):  # the handler of SIGKILL cannot be set
                     signal.signal(-code, signal.SIG_DFL)
                 os.kill(os.getpid(), -code)
             os._exit(code)
@@ -244,7 +244,7 @@ def _decode(connection: socket.socket, path: Path, arrays: int, cpu_seconds: flo
             folder, _, module, name, path_there, *plain = json.loads(receive(connection))
         except EOFError:
             os._exit(0)
-        os.chdir(folder)  # the caller's working directory, so that relative paths remain valid
+        os.chdir(folder)  # use the caller's working directory, so that relative paths remain valid
         used = resource.getrusage(resource.RUSAGE_SELF)
         until = _allowed(resource.RLIMIT_CPU, int(used.ru_utime + used.ru_stime + cpu_seconds) + 1)
         resource.setrlimit(resource.RLIMIT_CPU, (until, resource.getrlimit(resource.RLIMIT_CPU)[1]))
@@ -270,7 +270,7 @@ def _answer(module: str, name: str, path: Path, plain: list[Any], arrays: int) -
         return _problem(error)
     except MemoryError:
         return _problem(InputFileError(too_much(path)))
-    except OSError as error:  # from writing the arrays; decoders convert their own errors to InputFileError
+    except OSError as error:  # raised when arrays are written; decoders convert their own errors to InputFileError
         return _problem(
             InputFileError(f"{path}: the decoded content cannot be stored ({error.strerror or error}); free some memory")
         )

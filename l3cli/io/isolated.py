@@ -155,7 +155,7 @@ class _Child:
         self._open = False
         if self.owner == os.getpid():
             if self._process.poll() is None:
-                os.killpg(self._process.pid, signal.SIGKILL)  # includes the workers
+                os.killpg(self._process.pid, signal.SIGKILL)  # the process group includes the workers
             self._process.wait()
         self._socket.close()
         self._arrays.close()

@@ -108,7 +108,7 @@ class ChartRecipe(CaptureRecipe, kw_only=True):
     illuminant: str
     corners: Corners  # (col, row) in pixels: outer corners of patches 1, 6, 24 and 19, clockwise
     radiance: str  # CSV file of measured radiances: 24 columns named after the patches, or in order from dark skin to black
-    unit: str | None = None  # as in [[mono]]
+    unit: str | None = None  # unit of the radiances, as in [[mono]]
 
 
 class PolariserRecipe(CaptureRecipe, kw_only=True):
@@ -172,7 +172,7 @@ class PhotoRecipe(Recipe):
 
     frames: Names  # raw files of the same scene with the same exposure; two or more files also determine the noise
     light: str | None = None  # "D65", "3200K", or a CSV file with the spectrum; default: the illuminant is estimated
-    column: int | str = 1  # column of the spectrum, as in [[mono]]
+    column: int | str = 1  # name or number of the spectrum's column, as in [[mono]]
     unit: str = "relative power"  # unit of the spectrum, if the CSV file does not state it
     chart: str = "classic"  # name of a chart, or CSV file of reflectances with one column per patch, row by row
     layout: tuple[Count, Count] = (4, 6)  # rows and columns of patches

@@ -114,7 +114,7 @@ class _Series:
     rate: Fraction | None = None  # frames per second, if the file states it
     files: Mapping[int, Path] | None = None  # frame number → file, if each frame has its own file
     times: Stated | None = None  # function that reads the frame times; None if the file does not contain them
-    expected: range | None = None  # frame numbers that should exist; None if these are `numbers`
+    expected: range | None = None  # frame numbers that should exist; None if all and only `numbers` should exist
 
 
 def find_frames(
@@ -187,7 +187,7 @@ def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], li
 
     Missing numbers are returned as ranges, because `wanted` may contain very many numbers.
     """
-    if isinstance(numbers, range):  # frames in a stack, numbered from 0
+    if isinstance(numbers, range):  # the frames of a stack, which are numbered from 0
         there: Sequence[int] = range(wanted.start, min(wanted.stop, len(numbers)), wanted.step)
         return there, [wanted[len(there) :]] if len(there) < len(wanted) else []
     there, missing, following = sorted(number for number in numbers if number in wanted), [], 0
@@ -285,7 +285,8 @@ def _series(path: Path, table: TransformTable, known: RawOverrides, dataset: str
 
 def _in_folder(folder: Path) -> list[Path]:
     found = [path for path in folder.iterdir() if is_frame(path) and path.name[0] != "." and path.is_file()]
-    ideals = {path.name.removesuffix(RAW) + IDEAL for path in found if path.name.endswith(RAW)}  # written by `l3 simulate`
+    # `l3 simulate` writes the ideal pictures of raw frames into the same folder.
+    ideals = {path.name.removesuffix(RAW) + IDEAL for path in found if path.name.endswith(RAW)}
     files = of_one_kind(folder, (path for path in found if path.name not in ideals))
     if not files:
         raise InputFileError(

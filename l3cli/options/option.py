@@ -184,7 +184,7 @@ def _reader_of(type: Any) -> Reader:
         return _reader_of(get_args(type)[1])
     if get_origin(type) is Literal:
         return Choice(*get_args(type))
-    if given := [each for each in get_args(type) if each not in (NoneType, Ellipsis)]:  # an optional value or a tuple
+    if given := [each for each in get_args(type) if each not in (NoneType, Ellipsis)]:  # the type is optional, or a tuple
         return _reader_of(given[0])
     return {bool: Flag, str: Text, Path: File}[type]()
 

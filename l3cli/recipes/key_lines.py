@@ -94,7 +94,7 @@ class _Scanner:
         for name in self._key():
             table = (*table, name)
             self.lines.setdefault(table, line)
-        self._next()  # the equals sign
+        self._next()  # skip the equals sign
         self._value(table)
 
     def _value(self, path: KeyPath) -> None:

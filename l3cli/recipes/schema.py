@@ -61,7 +61,7 @@ def _plain(value: Any) -> Any:
         kinds = [each for each in value.pop("anyOf") if each != {"type": "null"}]
         value = (kinds[0] if len(kinds) == 1 else {"anyOf": kinds}) | value
     first, *others = value.get("prefixItems", [None])
-    if first is not None and all(each == first for each in others):  # a tuple with entries of one type
+    if first is not None and all(each == first for each in others):  # all entries of the tuple have the same type
         del value["prefixItems"]
         value["items"] = first
     return value
@@ -70,7 +70,7 @@ def _plain(value: Any) -> Any:
 def _structures(recipes: Sequence[type[Recipe]]) -> list[type[Recipe]]:
     """Return the classes in `recipes`, and the classes of all tables that these recipes can contain."""
     found = list(recipes)
-    for kind in found:  # including the classes that are appended below
+    for kind in found:  # the loop also visits the classes that it appends
         inner = [each for field in msgspec.structs.fields(kind) for each in tables_in(field.type)]
         found += [each for each in dict.fromkeys(inner) if each not in found]
     return found

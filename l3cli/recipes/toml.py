@@ -79,7 +79,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
     gc.disable()
     try:
         return tomllib.loads(text)
-    except ValueError as error:  # a syntax error, or a number with too many digits
+    except ValueError as error:  # raised by a syntax error, or by a number with too many digits
         raise RecipeError(f"{name} is not valid TOML: {error}") from error
     except RecursionError as error:
         raise RecipeError(

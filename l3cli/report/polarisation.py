@@ -21,7 +21,7 @@ TITLES = {"DoLP": "Degree of linear polarisation", "AoLP": "Angle of linear pola
 SCALES = (0.1, 0.2, 0.5, 1.0)  # possible upper ends of the DoLP scale
 BRIGHT_QUANTILE = 0.99  # quantile of the ideal picture's values that a scale must cover
 KEY_STEPS = 4  # number of intervals in a colour key
-Maps = dict[str, dict[str, Pixels]]  # pictures by map, then by pipeline or "ideal"
+Maps = dict[str, dict[str, Pixels]]  # name of the map → name of the pipeline, or "ideal" → picture
 
 
 def polarisation_maps(target: Array, planes: dict[str, Array], outputs: tuple[str, ...]) -> tuple[Maps, float]:

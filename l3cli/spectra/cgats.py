@@ -114,7 +114,7 @@ def _tables(text: str, path: Path) -> list[CgatsTable]:
             table.keywords[word] = tokens[1]
     for table in tables:
         width = len(table.fields)
-        if width and any(len(row) != width for row in table.rows):  # rows may extend over several lines
+        if width and any(len(row) != width for row in table.rows):  # a row may extend over several lines of the file
             cells = [cell for row in table.rows for cell in row]
             if len(cells) % width:
                 number = next(number for number, row in enumerate(table.rows, 1) if len(row) != width)

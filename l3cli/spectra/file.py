@@ -102,7 +102,7 @@ def _text(path: Path) -> str:
         content = read_bounded(path, CURE)
         if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
             return content.decode("utf-16")
-        if content[1:64:2].count(0) > len(content[1:64:2]) // 2:  # UTF-16 without a byte order mark
+        if content[1:64:2].count(0) > len(content[1:64:2]) // 2:  # the text is UTF-16 without a byte order mark
             return content.decode("utf-16-le")
         try:
             return content.decode("utf-8-sig")
@@ -167,8 +167,8 @@ def _numbers(
 ) -> tuple[list[list[float]], list[Cells]]:
     """Return the rows of numbers at the end of a file, and the lines before these rows.
 
-    Raises InputFileError if the file does not end with rows of numbers, or if there are also rows of numbers before other
-    text. This text is then probably a damaged row.
+    Raises InputFileError if the file does not end with rows of numbers. Also raises it if other text separates rows of
+    numbers, because this text is probably a damaged row.
     """
     numeric = [all(_is_number(cell, decimal_comma) for cell in row) for row in cells]
     start = len(cells)
@@ -220,7 +220,7 @@ def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurv
         end = heads[which + 1][0] if which + 1 < len(heads) else len(cells)
         rows = cells[number + 1 : end]
         if which + 1 < len(heads) and lettered[which + 1] and rows and not numeric[end - 1]:
-            rows.pop()  # names of the next curves
+            rows.pop()  # remove the line with the names of the next curves
         names = cells[number - 1] if number and lettered[which] and not numeric[number - 1] else []
         for place, (x_head, y_head) in enumerate(pairs):
             name = (names[2 * place] if len(names) > 2 * place else "") if lettered[which] else y_head
@@ -268,7 +268,7 @@ def _upright(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
     """Transpose a table if its wavelengths are in a row, so that there is one row per wavelength."""
     for number, row in enumerate(cells):
         if len(row) <= SIDEWAYS or _is_number(_without_nm(row[0]), decimal_comma):
-            continue  # not a row of wavelengths
+            continue  # the row contains no wavelengths
         across = [_without_nm(cell) for cell in row]
         labels = next((at for at, cell in enumerate(across) if _is_number(cell, decimal_comma)), len(row))
         grid = across[labels:]
@@ -326,7 +326,7 @@ def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path)
         return last if len(last) == columns > 2 and not any(_is_number(cell, decimal_comma) for cell in last) else None
     heading = fitting[named]
     below = fitting[named + 1] if named + 1 < len(fitting) else None
-    if named and all(_bare(cell) is not None or not cell for cell in heading):  # a line of units, below the column names
+    if named and all(_bare(cell) is not None or not cell for cell in heading):  # a line of units, below the names
         heading, below = fitting[named - 1], heading
     if below and all(_bare(cell) is not None or not cell for cell in below):
         return [_with_unit(name, _bare(unit) or "") for name, unit in zip(heading, below, strict=True)]

@@ -267,7 +267,7 @@ def _moments(run: SimulationRun, bases: Sequence[NDArray[np.float64]], patches: 
         scene = _scene(wanted, run)
         for of_light, name, basis in zip(sums, run.recipe.illuminants, bases, strict=True):
             planes, sharp, target = spectral_planes(run.camera, scene, run.lights[name], run.recipe.lens, basis)
-            rng = np.random.default_rng([run.seed, place])  # the same patches under all illuminants
+            rng = np.random.default_rng([run.seed, place])  # draws the same patches under all illuminants
             gather(of_light, planes, target, sharp, patches, rng)
     return {f"{name}-{number}": value for number, of_light in enumerate(sums) for name, value in of_light.items()}
 
@@ -380,7 +380,7 @@ def _judged(table: TransformTable, frames: Path, shown: "hashlib._Hash") -> tupl
 
 CFAS_PER_PART = 64  # predicted errors are stored after this number of CFAs
 ANNEALING_RUNS = 2  # runs of simulated annealing per pattern; see Task.annealed for their starting points
-TUNING_STARTS = 4  # starting points for filter tuning, of which the first is the recipe
+TUNING_STARTS = 4  # number of starting points for filter tuning; the first consists of the recipe's filters
 TUNED = " (tuned)"  # suffix for the names of CFAs with tuned filters
 
 
@@ -538,5 +538,5 @@ class _Run:
         if len(digests) > 1:
             raise L3Error("the CFAs were not evaluated on the same scenes, which is a bug in l3; please report it")
         figures, crops = (np.array([end[name] for end in ends]) for name in ("figures", "crops"))
-        figures = figures.mean(axis=2)  # over scenes
+        figures = figures.mean(axis=2)  # mean over the scenes
         return Truth(tuple(wanted), np.array(expected), FIGURES, figures, crops, ends[0]["ideals"], digests.pop())

@@ -397,7 +397,7 @@ def _side_by_side(judged: list[Judged], limit: int, options: ReportOptions) -> S
     pictures, chosen = [], shared_frame(sides, options.at)
     for each, index in zip(judged, chosen, strict=False):
         with open_training_set(each.pair.frames.path, unchanged=True) as reader:
-            renderers = FrameRenderers(options.backend, each.pair.transforms, Silent())  # messages were printed before
+            renderers = FrameRenderers(options.backend, each.pair.transforms, Silent())  # messages were already printed
             pictures.append(_pictures(Evaluation(each.pair.transforms, reader.head), renderers, reader, index))
     return side_by_side_section(sides, chosen, pictures, limit, jpeg)
 

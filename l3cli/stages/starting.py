@@ -298,7 +298,7 @@ def refuse_as_table(photo: Path, inputs: Sequence[Path], output: Path) -> None:
         If the file does not exist.
     """
     require_regular(photo, "specify a table and a raw file")
-    photos = list({path.resolve(): path for path in (photo, *inputs)}.values())  # each file once
+    photos = list({path.resolve(): path for path in (photo, *inputs)}.values())  # list each file only once
     if table := next((each for each in inputs if each.suffix == ".h5"), None):
         others = [each for each in photos if each != table]
         raise RecipeError(

@@ -135,7 +135,7 @@ class Logged(Passing):
     def __init__(self, console: Console, path: Path, command: str, wording: Callable[[str], str] = str) -> None:
         super().__init__(console)
         self._path, self._command, self._wording = path, command, wording
-        self._lost = False  # set after a write error
+        self._lost = False  # whether a write error has occurred
         if path.exists() and not (path.is_file() and _is_log(path)):
             raise RecipeError(f"{path} is not an l3 log; choose another file for ‹log›")
         self._append(b"" if path.exists() else HEADING)

@@ -75,7 +75,7 @@ class InOrder:
     def read(self, number: int) -> RawContent | None:
         content: RawContent | None = None
         while self._next <= number:
-            self._next += 1  # even if reading fails, because damaged frames count
+            self._next += 1  # count the frame even if reading it fails
             try:
                 content = self._following()
             except InputFileError as error:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 from l3cli.physics.mosaic import shifted_cfa, tiled
 
-if TYPE_CHECKING:  # not imported at run time, so that the decoding process starts faster
+if TYPE_CHECKING:  # imported only by type checkers, so that the decoding process starts faster
     from l3cli.artifacts.camera import CameraModel
     from l3cli.artifacts.table import TransformTable
 

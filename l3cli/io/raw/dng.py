@@ -95,7 +95,7 @@ def read(path: Path) -> RawContent:
 
     Raises InputFileError if the file cannot be read, or if its tags are damaged or unsupported.
     """
-    mosaic = _read_tags(path)  # before LibRaw, because LibRaw's messages about invalid tags are less clear
+    mosaic = _read_tags(path)  # before LibRaw reads them, because its messages about invalid tags are less clear
     with opened(path) as raw:
         if raw.raw_image.shape != mosaic.shape:
             rows, cols = mosaic.shape
@@ -137,7 +137,7 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
         fault = f"has a black level of {levels} DN, which is not between 0 and the white level of {mosaic.white_level:g} DN"
     if fault:
         black_level = np.zeros((1, 1))
-    pixels = stored[top:bottom, left:right].copy()  # LibRaw frees the memory of `stored`
+    pixels = stored[top:bottom, left:right].copy()  # a copy, because LibRaw frees the memory of `stored`
     gain = None
     if mosaic.opcodes:
         pixels, gain = _changed(path, mosaic, pixels, bad_pixels(mosaic.opcodes, stored, mosaic.active))
@@ -489,7 +489,7 @@ def _contiguous(offsets: Sequence[int], lengths: Sequence[int]) -> bool:
 
 
 def _pattern(path: Path, raw: Any) -> NDArray[np.int64]:
-    if raw.tags.valueof("PhotometricInterpretation") == tags.LINEAR_RAW:  # from a monochrome sensor
+    if raw.tags.valueof("PhotometricInterpretation") == tags.LINEAR_RAW:  # the sensor is monochrome
         return np.array([[WHITE_CODE]])
     codes, shape = raw.tags.valueof("CFAPattern"), raw.tags.valueof("CFARepeatPatternDim")
     if codes is None or shape is None:

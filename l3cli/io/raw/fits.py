@@ -100,7 +100,7 @@ def _first_image(path: Path) -> Iterator[tuple[Any, Mapping[str, Any]]]:
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about nonstandard headers; unreadable data raise exceptions
+        warnings.simplefilter("ignore")  # ignore nonstandard headers; unreadable data still raise exceptions
         with fits.open(path, uint=True, lazy_load_hdus=True) as units:
             image = next((unit for unit in units if unit.is_image and unit.header.get("NAXIS", 0) >= 2), None)
             if image is None:

@@ -84,7 +84,7 @@ def _visible(path: Path, raw: Any) -> RawContent:
         values, common, top = with_one_black_level(values, black_level[colours], white_level[colours])
     rows, cols = raw.raw_pattern.shape
     pattern = codes_of(letters)[colours[:rows, :cols]]
-    shot = getattr(raw, "other", None)  # requires rawpy 0.26
+    shot = getattr(raw, "other", None)  # None if rawpy is older than 0.26
     exposure = float(shot.shutter_speed) if shot is not None else None
     return RawContent(
         values=values,
@@ -217,7 +217,7 @@ def _stated(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, ND
             letters = raw.color_desc.decode("ascii", "replace")[: raw.num_colors]
             values = np.array(raw.rgb_xyz_matrix, np.float64)[: len(letters)]
             matrices = [(0, codes_of(letters), values)] if values.any() else []
-        shot = getattr(raw, "other", None)  # requires rawpy 0.26
+        shot = getattr(raw, "other", None)  # None if rawpy is older than 0.26
         known = {"iso": "iso_speed", "focal_length_mm": "focal_length", "f_number": "aperture"}
         if not getattr(shot, "focal_length", 0.0):
             del known["f_number"]  # for a file without an aperture, LibRaw returns 1

@@ -29,7 +29,7 @@ _loaded: dict[tuple[Any, ...], NDArray] = {}  # identity of the last file and na
 
 
 def stack(path: Path, dataset: str | None) -> MultiFrameFile:
-    """Open the frames in a variable, or in the only array of frames if `dataset` is None."""
+    """Open the frames in the variable `dataset` or, if this is None, in the only array of frames."""
     with open_regular(path) as stream:
         text = stream.read(TEXT)
     if text.startswith(HDF5_VERSION):

@@ -271,7 +271,7 @@ def _directory(stream: BinaryIO, at: int) -> dict[int, list[Any]]:
     [following] = _numbers(stream, at + 2 + ENTRY.itemsize * count, np.dtype("<u4"), 1)
     tags: dict[int, list[Any]] = {}
     for tag, kind, length, content in _numbers(stream, at + 2, ENTRY, min(count, MAX_TAGS)):
-        if tag == DATE_TIME:  # text that l3 does not need
+        if tag == DATE_TIME:  # l3 does not need the date, so its text is not read
             tags[tag] = []
         elif TYPES[kind].itemsize * length > len(content):
             tags[tag] = _numbers(stream, int.from_bytes(content, "little"), TYPES[kind], length)

@@ -130,7 +130,7 @@ class FrameOrigins:
         self._inputs, self._before, self._follow = inputs, _digest(settings), follow
 
     def of(self, reference: FrameReference) -> FrameReference:
-        """Compute a picture's origin from its frame's file, and add the origin to the frame's reference.
+        """Compute the origin (a digest) of a picture from its frame's file, and add it to the reference.
 
         Call this method before the frame is read, because the file could change during reading. If the frame has no separate
         file, the input file is used. If the input is not a file, the reference is returned unchanged.

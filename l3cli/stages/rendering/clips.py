@@ -45,7 +45,7 @@ def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output
     sensor = functools.partial(load, TransformTable, table)
     for each in inputs:
         inside = clips_in(each, sensor, stated_overrides(options), options.console.warn) if each.is_dir() else []
-        source, target = (Path(os.path.realpath(path)) for path in (each, output))  # no error for circular links
+        source, target = (Path(os.path.realpath(path)) for path in (each, output))  # realpath accepts circular links
         if inside and (source in (target, *target.parents) or target in source.parents):
             raise RecipeError(
                 f"the output {output} and the folder of clips {each} must not contain each other; choose another output "
@@ -175,7 +175,7 @@ def render_clips(table: Path, clips: Sequence[Path], folder: Path, options: Rend
     with OutputGuard(options.console) as guard:
         guard.protect(table)
         for source in sources:
-            with contextlib.suppress(InputFileError, OSError):  # reported later, when this clip is rendered
+            with contextlib.suppress(InputFileError, OSError):  # the error is reported later, when this clip is rendered
                 guard.protect(*frame_files(source))
                 _refuse_output(_output_of(source, folder, sensor, options), options)
         for number, source in enumerate(sources, 1):
@@ -212,7 +212,7 @@ def _output_of(source: Path, folder: Path, table: TransformTable, options: Rende
     name = name_of(source)
     if is_video(Path(f"clip.{options.format}")) or is_still(source, table, stated_overrides(options)):
         return folder / f"{name}.{options.format}"
-    return folder / name.replace(".", "_")  # because l3 would treat a name with a suffix as a file
+    return folder / name.replace(".", "_")  # l3 would treat a name that contains a period as a file
 
 
 def _refuse_output(output: Path, options: RenderOptions) -> None:

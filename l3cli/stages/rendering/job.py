@@ -471,7 +471,7 @@ def _rendition(destination: Destination, white: str | None, table: TransformTabl
 
 
 def warn_of_white(name: str, white: SceneWhite, table: TransformTable, console: Console) -> None:
-    """Warn if a white point is far from the training illuminants, or if its spectrum misses wavelengths of the camera."""
+    """Warn if a white point is far from the training illuminants, or if its spectrum does not cover the camera's range."""
     if doubt := far_from_training(name, white, table):
         console.warn(doubt)
     if table.camera is not None and "," not in name:

@@ -44,7 +44,7 @@ def run(job: Job, look: Look, renderers: Renderers) -> Tally:
     if not _is_finished(job, look, tally):
         keeping = job.checkpoint.kept() if job.checkpoint else contextlib.nullcontext()
         with keeping, picture_makers(job, look, renderers) as makers:
-            if job.options.uncertainty is not None:  # before the picture, because it raises an error for small frames
+            if job.options.uncertainty is not None:  # before the picture, because small frames cause an error
                 tally.written.append(write_uncertainty(job, look))
             _render_frames(job, look, makers, tally)
     tally.report(job)

@@ -128,7 +128,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
                 with stored.held(resume, force, whole_part):
                     total = _simulate_frames(run, files, head, stored, options)
                     pictures = write_pictures(run, files, stored, options)
-                    _assemble(stored, head, output, console)  # last, so that the pictures exist if the training set exists
+                    _assemble(stored, head, output, console)  # last: a training set implies finished pictures
             for folder in folders:
                 mark_finished(folder, key)
         left_out = f"; {bad} scene{'s' if bad > 1 else ''} skipped" if bad else ""

@@ -75,7 +75,7 @@ def layer_mosaics(run: TrainingRun, number: int) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class LayerUnit:
-    """Work that one process does at a time for a refinement layer: several blocks of frames."""
+    """A work unit of a refinement layer: several blocks of frames, which one process handles."""
 
     training: tuple[TrainingSource, ...]
     remote: bool  # whether the process runs on another machine, where it must check that its files have the same bytes
