@@ -21,7 +21,7 @@ MAX_SHADING = 16.0  # largest gain of a flat field
 MAX_COLOUR_SHADING = 0.5  # largest relative difference between a channel's gain and the mean gain of all channels
 MIN_EXPOSURE = 1e-4  # shortest channel exposure time, as a fraction of the longest
 MAX_GAIN = 1e3  # largest channel gain, relative to the camera gain
-MAX_CHANNELS = 16  # a saturation case is stored in 16 bits, with one bit per channel
+MAX_CHANNELS = 16  # largest number of channels; a saturation case is stored in 16 bits, one bit per channel
 MAX_CFA = 8  # largest width and height of the super-pixel, in pixels
 MAX_BITS = 16  # largest bit depth of raw values
 ROUNDING = 1e-6  # rounding errors may push a quantum efficiency above 1 by this amount
@@ -716,7 +716,10 @@ class CameraModel(Artifact):
 
     @property
     def relative_stokes_response(self) -> NDArray[np.float64]:
-        """Response (channel, stokes) to S0, S1 and S2, divided by the response to S0, in light with equal photons per nm."""
+        """Response (channel, stokes) to S0, S1 and S2, divided by the response to S0.
+
+        It applies to light with the same number of photons per nm at all wavelengths.
+        """
         total = self.stokes_weights.sum(axis=2)
         return np.asarray((total / total[0]).T)
 

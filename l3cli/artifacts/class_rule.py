@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.schema import check, data, group
 
-MAX_COMBINATIONS = 4096  # combinations of additional feature values
-MAX_WINDOW_TAPS = 4096  # taps in all windows together; sums of 12-bit values are then exact in float32
+MAX_COMBINATIONS = 4096  # maximum number of combinations of additional feature values
+MAX_WINDOW_TAPS = 4096  # maximum number of taps in all windows together; sums of 12-bit values are then exact in float32
 CLASS_BITS = 12  # classes depend only on the upper 12 bits of a value, so that sums are exact in 32 bits
 CHROMA_SCALE = 1 << 10  # represents a chroma weight of 1, small enough for sums over 16 channels to fit into 32 bits
 MAX_CHROMAS = 64

@@ -90,9 +90,9 @@ class Condition:
 
     first: MosaicTransforms = group()
     later: tuple[PlaneTransforms, ...] = group(default=())
-    light: SceneLight | None = group(default=None)  # None: all illuminants of the training set
-    noise: NoiseScale | None = group(default=None)  # None: the noise of the camera
-    edges: NoiseEdges | None = group(default=None)  # None: the class edges of the table
+    light: SceneLight | None = group(default=None)  # None: the transforms are for all training illuminants together
+    noise: NoiseScale | None = group(default=None)  # None: the transforms are for the camera's own noise
+    edges: NoiseEdges | None = group(default=None)  # None: the class edges of the table apply
 
     def __post_init__(self) -> None:
         check(self)

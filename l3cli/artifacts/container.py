@@ -30,7 +30,7 @@ SIGNATURE = b"\x89HDF\r\n\x1a\n"  # first bytes of HDF5
 BLOCK = 512  # size in bytes of the user block, which precedes the signature
 TITLE = b"l3 artifact, SHA-256 of the bytes after the first 512: "
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
-MAX_COMPRESSION = 1100  # deflate cannot compress data by more than 1032 : 1
+MAX_COMPRESSION = 1100  # largest plausible compression ratio; deflate reaches at most 1032
 SMALL_BYTES = 4096  # a dataset's declared size may exceed the MAX_COMPRESSION limit by this much
 ENCODING = "utf-8"
 

@@ -88,7 +88,7 @@ class PlaneClasses(GradientScale):
 
     @property
     def structures(self) -> int:
-        """Number of structures or tree leaves, which distinguish only classes without clipped channels."""
+        """Number of structures or tree leaves, into which only the pixels without clipped channels are divided."""
         raise NotImplementedError
 
     @property

@@ -23,7 +23,7 @@ class RecipeSource:
 
     path: Path
     content: Mapping[str, Any]
-    camera: CameraModel | None  # None: unknown
+    camera: CameraModel | None  # None if the camera is unknown
 
     def file(self, name: str) -> Path:
         """Resolve a file name in the recipe, which is relative to the recipe's folder."""

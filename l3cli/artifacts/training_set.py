@@ -163,7 +163,7 @@ class TrainingFrame(TrainingPair):
         doc="mean number of photo-electrons of every channel at every pixel, without noise and clipping",
     )
     seed: tuple[int, ...] = data("int64", "seed_word", doc="seed of the noise in this frame")
-    shown: Shown | None = group(default=None)  # None: unknown
+    shown: Shown | None = group(default=None)  # None: the scene and the illuminant have no fingerprints
     ignored: IgnoredPixels | None = group(default=None)  # None: no pixel is ignored
 
     def __post_init__(self) -> None:

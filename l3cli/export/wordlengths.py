@@ -170,7 +170,7 @@ def short_words(table: TransformTable) -> ShortWords:
 
 
 def _value_step(table: TransformTable) -> float:
-    """Return the step of the last layer's integer inputs, in the unit of its float inputs."""
+    """Return the value of one step of the last layer's integer inputs, in the unit of the float inputs."""
     return PLANE_STEP if table.later else 1 / (table.white_level - table.black_level)
 
 

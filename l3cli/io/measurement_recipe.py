@@ -137,7 +137,7 @@ class CommonRecipe(Recipe):
     exposure_ms: Positive | None = None
     exposure_us: Positive | None = None
     unit: str | None = None  # unit of radiances, if a CSV file does not state it
-    monitor: MonitorRecipe | None = None  # for [[mono]] captures
+    monitor: MonitorRecipe | None = None  # lamp monitor readings for [[mono]] captures
 
 
 class ColumnRecipe(Recipe):

@@ -198,7 +198,7 @@ def _widen(picture: NDArray[np.uint8], buffer: NDArray[np.uint8]) -> None:
 
 
 def _x265_parameters(rows: int, cols: int, is_short: bool) -> str:
-    """Return x265 parameters that work around two of its bugs.
+    """Return parameters that work around two bugs of x265.
 
     In videos of one or two frames, x265 does not set the decoding times of B-frames, so such videos are encoded without
     B-frames. For frames smaller than a coding tree unit, its assembly code writes beyond the frame, so assembly is disabled.

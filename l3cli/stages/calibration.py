@@ -30,7 +30,7 @@ from l3cli.system.files import FilesUsed, files_to_read, write_whole
 from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import counted
 
-MAX_PRINTED = 8  # printed lines about assumed values, and about missing values
+MAX_PRINTED = 8  # maximum number of printed lines about assumed values, and about missing values
 
 
 def calibrate(

@@ -285,7 +285,7 @@ INDENT = "  "
 # parts in which the messages of similar faults may differ: the number of a list entry, or the name of a missing file
 ENTRY = re.compile(r"\[\d+\]|^.*(?= does not exist)")
 MAX_LISTED = 3  # more similar faults than this are printed as one line
-MAX_LINE_NUMBERS = 8  # line numbers that are listed for similar faults
+MAX_LINE_NUMBERS = 8  # maximum number of line numbers that are listed for similar faults
 SYNTAX = re.compile(r"\(at line (\d+), column \d+\)")  # position in an error message of the TOML parser
 
 

@@ -378,7 +378,7 @@ def _judged(table: TransformTable, frames: Path, shown: "hashlib._Hash") -> tupl
     return np.array(rows), ours, ideal
 
 
-CFAS_PER_PART = 64  # predicted errors are stored after this number of CFAs
+CFAS_PER_PART = 64  # number of CFAs whose predicted errors are stored together
 ANNEALING_RUNS = 2  # runs of simulated annealing per pattern; see Task.annealed for their starting points
 TUNING_STARTS = 4  # number of starting points for filter tuning; the first consists of the recipe's filters
 TUNED = " (tuned)"  # suffix for the names of CFAs with tuned filters

@@ -171,8 +171,8 @@ def _greys(
     return standards.grey_document(camera, noise, lux, raw, snr)
 
 
-FRAMES_PER_LIGHT = 2  # frames per illuminant that are evaluated at several gains
-MAX_RENDERERS = 8  # cache size; consecutive frames have different illuminants, which need different renderers
+FRAMES_PER_LIGHT = 2  # number of frames per illuminant that are evaluated at several gains
+MAX_RENDERERS = 8  # size of the cache; consecutive frames have different illuminants and thus different renderers
 DECIDING_METRIC = "mean_delta_e"  # a baseline counts as better than the table if this metric is smaller
 OTHER_LIGHT = 0.005  # CIE 1960 uv; whites at a larger distance count as different illuminants
 ONE_LIGHT = 0.001  # CIE 1960 uv; a training set with a smaller spread of whites has a single illuminant

@@ -51,11 +51,11 @@ from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import a, short_names, tidy
 from l3cli.training.summary import insight
 
-# limits that keep the page smaller than parts.MAX_PAGE_BYTES
-PICTURE_BYTES = 5_500_000  # pictures of all evaluated frames
-PIXEL_BYTES = 1_000_000  # all pixel viewers, which show the class, filter and values of single pixels
-CLASS_BYTES = 300_000  # filters of classes that do not occur in the crops of the pixel viewers
-THUMBNAIL_BYTES = 2_000_000  # thumbnails of all training sets
+# limits, in bytes, that keep the page smaller than parts.MAX_PAGE_BYTES
+PICTURE_BYTES = 5_500_000  # maximum size of the pictures of all evaluated frames
+PIXEL_BYTES = 1_000_000  # maximum size of all pixel viewers, which show the class, filter and values of single pixels
+CLASS_BYTES = 300_000  # maximum size of the filters of classes that do not occur in the crops of the pixel viewers
+THUMBNAIL_BYTES = 2_000_000  # maximum size of the thumbnails of all training sets
 KINDS: dict[str, type[Artifact]] = {kind.kind: kind for kind in (CameraModel, TrainingSet, TransformTable, Design)}
 SEQUENCE_SUFFIX = ".json"  # suffix of the files that `l3 evaluate` writes for sequences
 CROPPED = ("ours", "ideal", "basic")  # names of the pictures that the pixel viewer shows
@@ -113,7 +113,7 @@ def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) ->
 
 
 def _read(paths: tuple[Path, ...]) -> Given:
-    """Read all files, without duplicates of the same content.
+    """Read all files. Files with the same content are read as one.
 
     Raises InputFileError if a table and a training set for its evaluation have different outputs.
     """

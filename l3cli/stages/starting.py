@@ -64,7 +64,7 @@ SINGLE_CAMERA_OPTIONS = ("phase", "pattern", "black_level", "white_level")  # op
 NEW_FOLDER = "mine"  # folder name in suggested commands, as in the documentation
 PHOTO_LINK = "picture"  # name of the symbolic link to the photo, because make does not support all file names
 CHART_WHITE = "chart"  # value of ‹white› for l3 render if the illuminant of the chart was only estimated
-MAX_CHART_PHOTOS = 4  # photos per camera in which l3 searches for a ColorChecker
+MAX_CHART_PHOTOS = 4  # maximum number of photos per camera in which l3 searches for a ColorChecker
 FOLDER_FILES = (*COMMON, "camera.toml", CURVES)  # files that l3 init writes into a folder
 Taken = Sequence[tuple[Path, Stated]]  # raw files of one camera, each with its metadata
 

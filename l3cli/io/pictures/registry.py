@@ -64,7 +64,7 @@ class Picture:
     space: Space | None = SRGB  # colour space of the values; None if the values are not colours
     label: Label = NOTHING
     names: tuple[str, ...] = ()  # names of the linear values of a pixel, such as X, Y and Z
-    exposure_scale: float = 1.0  # factor from the linear values in a raw file to display values, where 1 is white
+    exposure_scale: float = 1.0  # factor that converts linear values in a raw file to display values, where 1 is white
 
 
 @dataclass(frozen=True)

@@ -149,7 +149,7 @@ def _fractions(content: bytes, order: str, start: int, count: int) -> list[float
 
 
 def _chromaticity(wavelength: Array, power: Array) -> tuple[float, float]:
-    """Return the chromaticity x, y of a power spectrum, which is zero outside its wavelength range (in nm)."""
+    """Return the chromaticity x, y of a power spectrum. The power is assumed to be 0 outside the wavelengths (in nm)."""
     grid = np.arange(360.0, 831.0)
     x, y, z = map(float, spectra.colour_matching_functions(grid) @ np.interp(grid, wavelength, power, 0.0, 0.0))
     return x / (x + y + z), y / (x + y + z)

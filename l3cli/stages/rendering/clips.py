@@ -34,7 +34,7 @@ MAX_WARNINGS = 1000  # largest number of warnings in the report of a clip
 
 
 def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output: Path) -> tuple[Path, ...]:
-    """Replace each folder of clips in the inputs with the clips in it.
+    """Replace each input that is a folder of clips by the clips in the folder.
 
     Raises
     ------

@@ -30,7 +30,7 @@ from l3cli.training.sums import add, empty_sums, same_shapes
 from l3cli.training.table import Pilot, assemble, learn_site, pilot_patches, survey, take_pilot
 from l3cli.training.training_pass import FIRST, LAST, TrainingPass, WorkShare, frame_blocks, has_two_passes, work_shares
 
-MAX_PILOT_FRAMES = 256  # frames in a work unit of the pilot
+MAX_PILOT_FRAMES = 256  # maximum number of frames in a work unit of the pilot
 
 
 @dataclass(frozen=True)
