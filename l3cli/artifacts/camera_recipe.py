@@ -56,7 +56,7 @@ class ChannelRecipe(Recipe):
     """
 
     like: str | None = None  # name of a channel with the same filter and therefore the same responsivity
-    # exposure time, as a fraction of the longest exposure time of all channels, which is the exposure time of the frame
+    # exposure time, as a fraction of the frame's exposure time, which is the longest exposure time of all channels
     exposure: Annotated[float, msgspec.Meta(ge=MIN_EXPOSURE, le=1)] = 1.0
     # conversion gain, relative to sensor.gain_dn_per_e, which is the lowest conversion gain of all channels
     gain: Annotated[float, msgspec.Meta(ge=1, le=MAX_GAIN)] = 1.0
@@ -266,7 +266,7 @@ def noise_entries(noise: Noise) -> dict[str, float]:
 
 
 def noise_keys() -> dict[str, str]:
-    """Return the recipe key for each field of `Noise`, which is the field's name with a suffix for its unit."""
+    """Return the recipe key for each field of `Noise`: the field's name with a suffix for its unit."""
     return {name: f"{name}{UNIT_SUFFIXES[spec.unit]}" for name, spec in declared(Noise) if isinstance(spec, Spec)}
 
 

@@ -348,7 +348,7 @@ class ClassRule:
         return np.where(np.greater(case, 0), self.chromas - 1 + case, chroma)
 
     def case(self, kind: Any) -> Any:
-        """Return the saturation case of each kind, which is 0 if the kind is a chroma."""
+        """Return the saturation case of each kind, or 0 if the kind is a chroma."""
         return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # kinds may be unsigned: avoid negative differences
 
     def lost(self, kind: Any) -> Any:

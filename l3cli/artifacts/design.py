@@ -1,6 +1,6 @@
 """Artifacts for the design of colour filter arrays: scene moments and designs.
 
-Scene moments contain the statistics of scenes, which do not depend on the array. A design contains arrays and their
+Scene moments contain statistics of scenes, and do not depend on the array. A design contains arrays and their
 predicted errors.
 """
 

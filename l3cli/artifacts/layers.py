@@ -164,7 +164,7 @@ class PlaneLayer:
 
     @property
     def window_taps(self) -> int:
-        """Total number of taps in the windows of the three planes, which come first in `weights`."""
+        """Total number of taps in the windows of the three planes. Their weights come first in `weights`."""
         return PLANES * self.side**2
 
     @property

@@ -1,4 +1,4 @@
-"""HTML summaries of artifacts for notebooks, which list each field with its axes, unit and meaning."""
+"""HTML summaries of artifacts for notebooks: lists of all fields with their axes, units and meanings."""
 
 from collections.abc import Iterator
 from html import escape

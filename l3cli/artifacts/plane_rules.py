@@ -135,7 +135,7 @@ class PlaneClasses(GradientScale):
         return np.where(np.greater(case, 0), self.structures - 1 + case, structure)
 
     def case(self, kind: Any) -> Any:
-        """Return the saturation case of each kind, which is 0 if the kind is a structure."""
+        """Return the saturation case of each kind, or 0 if the kind is a structure."""
         return np.maximum(kind - self.structures + 1, 0)
 
 

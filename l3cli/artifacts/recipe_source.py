@@ -26,7 +26,7 @@ class RecipeSource:
     camera: CameraModel | None  # None if the camera is unknown
 
     def file(self, name: str) -> Path:
-        """Resolve a file name in the recipe, which is relative to the recipe's folder."""
+        """Resolve a file name in the recipe. File names are relative to the recipe's folder."""
         return self.path.parent / name
 
     def attempt(self, key: KeyPath | None, work: Callable[..., object], *arguments: object) -> Iterator[Fault]:

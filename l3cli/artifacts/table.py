@@ -260,7 +260,7 @@ class TransformTable(Artifact):
 
     @property
     def chroma_outputs(self) -> tuple[int, ...]:
-        """Indices of the outputs in the chroma planes of refinement layers, which coarse chroma smoothing changes."""
+        """Indices of the outputs that coarse chroma smoothing changes: those in the chroma planes of refinement layers."""
         return (0, PLANES - 1) if self.components is None else self.components.chroma_outputs
 
     @property

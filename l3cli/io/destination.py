@@ -62,7 +62,7 @@ class Destination:
         return self.kind == "video" and self.path.suffix.lower() != Y4M
 
     def file(self, number: int, stem: str) -> Path:
-        """Return the output file of a frame. `stem` is its file name without suffix, which is used only in a folder."""
+        """Return the output file of a frame. `stem`, its file name without suffix, is used only in a folder."""
         if self.kind == "pattern":
             return numbered_name(self.path, number)
         return self.path / f"{stem}.{self.suffix}" if self.kind == "folder" else self.path

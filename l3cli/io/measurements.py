@@ -513,7 +513,7 @@ def _assembled(
 
 
 def _corrections(recipe: CorrectionRecipe, camera: CameraModel, folder: Path) -> Measurements:
-    """Return the captures of a measurement file that contains the key `base`, which refers to `camera`."""
+    """Return the captures of a measurement file in which the key `base` refers to `camera`."""
     geometry = camera.name, camera.rows, camera.cols, camera.pixel_pitch, camera.bits, camera.channels, camera.cfa
 
     def frames(capture: CaptureRecipe) -> dict[str, Any]:

@@ -83,7 +83,7 @@ def find_recipe(text: str, kind: str) -> Path:
         Path of a recipe file, or name of a built-in recipe. An existing file has precedence over a built-in recipe of the
         same name.
     kind : str
-        Type of the recipe: a subfolder of configs/, which is a key of KIND_OF_FOLDER.
+        Type of the recipe: a key of KIND_OF_FOLDER, the name of a subfolder of configs/.
 
     Returns
     -------

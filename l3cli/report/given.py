@@ -95,7 +95,7 @@ def cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
 
 
 def lead_without_evaluation(given: Given) -> str:
-    """Return the introduction of a report without evaluated tables, which explains what files to add."""
+    """Return the introduction of a report without evaluated tables. It explains which files to add."""
     if given.sequences:
         return sequence_summary(given.sequences)
     if not given.of(TransformTable):

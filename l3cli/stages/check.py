@@ -204,7 +204,7 @@ class Kind(NamedTuple):
         return self.recipes[0].title
 
     def structure(self, content: Mapping[str, Any]) -> type[Recipe]:
-        """Return the class that defines the keys of a recipe, which depends on whether the recipe has a base."""
+        """Return the class that defines the keys of a recipe. It depends on whether the recipe has a base."""
         return self.recipes[-1] if "base" in content else self.recipes[0]
 
 

@@ -92,7 +92,7 @@ class Checkpoint:
 
 
 class PartsFolder:
-    """The folder NAME.parts next to an output NAME, which stores a run's finished parts until the output is complete.
+    """The folder NAME.parts next to an output NAME. It stores a run's finished parts until the output is complete.
 
     The file `run` in the folder contains the run's key. A part gets its final file name only when it is complete, so the
     folder never contains unfinished parts.

@@ -42,7 +42,7 @@ class Layout:
 
     @property
     def row_pixels(self) -> int:
-        """Number of pixels in a stored row, which is two sensor rows if the packing stores cells of 2×2 pixels."""
+        """Number of pixels in a stored row. It contains two sensor rows if the packing stores cells of 2×2 pixels."""
         return 2 * self.cols if self.packing.cells else self.cols
 
     @property

@@ -111,7 +111,7 @@ def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
 
 
 def _stated_by_tags(path: Path) -> tuple[list[str], dict[str, str | float]]:
-    """Return the camera names and the shot settings from TIFF tags, which are empty if the file has no such tags."""
+    """Return the camera names and the shot settings from TIFF tags. Both are empty if the file has no such tags."""
     import tifffile
 
     try:

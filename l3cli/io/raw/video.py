@@ -80,7 +80,7 @@ def _frame(path: Path, number: int) -> NDArray[np.uint16] | None:
 
 
 def _of_palette(path: Path, pixels: NDArray[np.uint8], palette: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the raw values in a palette image, which are its indices if the palette, (colour, ARGB), is a grey ramp.
+    """Return the raw values in a palette image: the indices, provided that the palette, (colour, ARGB), is a grey ramp.
 
     Raises InputFileError if the palette is not a grey ramp.
     """

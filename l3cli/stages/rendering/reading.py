@@ -178,7 +178,7 @@ def last_read(job: Job) -> int | None:
 
 
 def _identity(reference: FrameReference, frame: RawFrame) -> str:
-    """Return the identity of a frame, which is stored in the metadata of its picture.
+    """Return the identity of a frame for the metadata of its picture.
 
     It is derived from the SHA-256 of the frame's file or, if the frame has no file of its own, of its raw values.
     """

@@ -69,7 +69,7 @@ def warn_of_left_out_layers(run: TrainingRun, console: Console) -> None:
 
 
 def layer_mosaics(run: TrainingRun, number: int) -> tuple[int, ...]:
-    """Return each frame's number of training mosaics for a refinement layer, which is numbered from 0."""
+    """Return each frame's number of training mosaics for the refinement layer `number`, counted from 0."""
     return spread_patches(run.recipe.layer[number].mosaics, [source.frames for source in run.training], run.shares)
 
 

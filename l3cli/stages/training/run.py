@@ -85,7 +85,7 @@ class TrainingSource:
     chosen: tuple[int, ...] | None = None  # indices of the frames to use; None for all frames in the file
 
     def places(self, frames: range) -> Iterable[int]:
-        """Convert numbers of frames, which count only frames that the run uses, to indices in the file."""
+        """Convert numbers of frames in the run, which skip unused frames, to indices in the file."""
         return frames if self.chosen is None else self.chosen[frames.start : frames.stop]
 
 
