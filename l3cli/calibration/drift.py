@@ -18,7 +18,7 @@ MEMORY = 0.8  # correlation of the drift between consecutive captures in the mea
 # Relative error of a channel's mean over a chart. Errors of 0.5 % in single patches cause half of it.
 CHART_ERROR = 0.002
 TRIED = np.geomspace(2e-4, 0.2, 100)  # trial values for the relative standard deviation of the drift
-EVIDENCE = 4.0  # log likelihood ratio at which the estimated drift replaces the declared drift
+EVIDENCE = 4.0  # the estimated drift replaces the declared drift if the log likelihood ratio is at least this value
 Array = NDArray[np.float64]
 
 

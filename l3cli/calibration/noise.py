@@ -41,7 +41,7 @@ from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Body, Capture
 
 SATURATED = 0.985  # pixels at or above this fraction of full scale are saturated
-TOLERATED = 1e-4  # largest fraction of saturated pixels in frames from which a variance is computed
+TOLERATED = 1e-4  # variances are computed only from frames with at most this fraction of saturated pixels
 LINEAR = (0.05, 0.95)  # fractions of saturation between which EMVA 1288 evaluates linearity
 CHANCE = 0.01  # significance level of the tests for row noise and column noise
 # Side of the window for local means, in samples of one CFA site. With more than 9 samples, dust would increase the PRNU.

@@ -34,7 +34,8 @@ STARTS = 4
 WIDTH_FRACTION = 8  # number of fractional bits of the dither widths
 # Dither width, divided by the squared distance to the nearest other centre. A ratio of 1 would tint the palest paints.
 DITHERED = 0.6
-# Smallest squared distance between two centres at which the rule dithers, multiplied by the squared number of channels.
+# The rule dithers between two centres only if their squared distance, multiplied by the squared number of channels, is at
+# least this value.
 TWINS = 2e-3
 TURN = 159  # 256 × 0.618 (golden ratio), so that the dither thresholds of consecutive sites are evenly distributed
 SNIPPET = "features/chroma.cl"

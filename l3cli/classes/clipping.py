@@ -34,13 +34,13 @@ KEPT, REPLACED = 0.85, 0.975
 # In 3 × 3 blocks around a uniform block, the values of each channel differ by at most PLAIN. Around a textured block, they
 # differ by TEXTURED or more (fractions of full scale).
 PLAIN, TEXTURED = 0.12, 0.3
-WHITE_FROM = 1.25  # luminance, relative to the clipped white, from which pixels are rendered white
+WHITE_FROM = 1.25  # pixels with at least this luminance, relative to the clipped white, are rendered white
 MIN_WEIGHT = 1e-6  # smallest weight of a channel, so that sums of weights are never zero
 # Number of maps, and number of the maps that replace the outputs.
 MAPS, REPLACEMENT_MAPS = 7, 4
-HUE_STEPS = 2  # number of blocks in each direction with which a clipped block is compared
-HUE_REACH = 24  # distance in pixels between a clipped block and the farthest block with which it is compared
-MAX_DIFFERENCE = 0.05  # squared relative difference from which two blocks certainly show different surfaces
+HUE_STEPS = 2  # a clipped block is compared with this number of blocks in each direction
+HUE_REACH = 24  # distance, in pixels, from a clipped block to the farthest of these blocks
+MAX_DIFFERENCE = 0.05  # blocks with at least this squared relative difference certainly show different surfaces
 MIN_SIGNAL = 0.02  # smallest signal used as a divisor, as a fraction of full scale
 # The weight of the surrounding hue is L / (L + D). L is the similarity of the surroundings, as a fraction of its maximum.
 # D is HUE_DOUBT plus GREY_DOUBT times the squared similarity of the clipped block to white.
@@ -48,7 +48,7 @@ HUE_DOUBT, GREY_DOUBT = 0.05, 3.0
 # Distances in pixels over which the estimates of clipped blocks spread over uniform areas, one per step. The last step is
 # shorter. Otherwise, blocks at different multiples of a distance would never be averaged, and skies would have bands.
 SPREAD_DISTANCES = (32, 32, 32, 32, 32, 16)
-MAX_CHANGE = 0.6  # mean squared relative difference of the unclipped channels at which estimates stop spreading
+MAX_CHANGE = 0.6  # estimates spread only to blocks with a smaller mean squared relative difference in the unclipped channels
 WHITE_DOUBT = 0.001  # ridge that limits the amount of white in the mixture with the surrounding colour
 MAX_HUE = 10.0  # largest X/Y and Z/Y of a hue
 Array = NDArray[np.float64]

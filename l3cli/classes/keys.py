@@ -23,7 +23,7 @@ class BasicKeys(Recipe):
 
     contrasts: tuple[float, ...] = (1.4,)  # edges between contrasts, as √(variance of the values / noise variance)
 
-    saturation: float = 0.985  # fraction of full scale from which a pixel is saturated
+    saturation: float = 0.985  # pixels at or above this fraction of full scale are saturated
     # a channel clips if one of its pixels within this distance, in pixels, is saturated
     saturation_radius: CountOrNone = 2
     max_cases: Count = 12  # largest number of saturation cases, including the case without clipped channels

@@ -35,7 +35,7 @@ from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.load import load_recipe
 
 ANNEALING_STEPS = 1000  # number of steps of simulated annealing
-MAX_REPEATED_FILTERS = 8  # largest number of filters for which annealing starts once from the best 2×2 array
+MAX_REPEATED_FILTERS = 8  # with at most this number of filters, one run of annealing starts from the best 2×2 array
 PIXEL_TOLERANCE = 1e-6  # relative tolerance when pixel pitches and f-numbers are compared
 BOUNDS = np.array([[400.0, 700.0], [10.0, 150.0], [0.1, 1.0]])  # range of centre (nm), sigma (nm) and peak
 VARIABLE_UNITS = np.array([10.0, 10.0, 0.1])  # units of the optimiser's variables: centre (nm), sigma (nm) and peak

@@ -24,7 +24,7 @@ from l3cli.physics.display import delta_e_2000, lab
 Array = NDArray[np.floating]
 LIGHTS = ("D65", "A")
 MAX_DELTA_E = 2.0  # largest mean ΔE00 over measured surfaces
-CHANNEL_NOISE = 0.003  # typical uncertainty of a calibrated channel, relative to white, which the matrix should not amplify
+CHANNEL_NOISE = 0.003  # typical uncertainty of a calibrated channel, relative to white; the matrix should not amplify it
 MAX_SENSITIVITY_RATIO = 1.1  # largest ratio of sensitivities; calibrations of two laboratories agree within 5 %
 MAX_NOISE_RATIO = 1.25  # largest ratio of noise standard deviations
 NOISE_SIGNALS = (0.0, 0.01, 0.1, 0.5)  # fractions of full scale at which noise is compared

@@ -36,7 +36,7 @@ class NoiseLeft:
     cell: tuple[int, int]  # rows and columns of pixels in a cell
 
     def below(self, limits: Sequence[float], shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Return, for each pixel, the number of `limits` that are at least its noise fraction: (row, col).
+        """Count, for each pixel, the `limits` that its noise fraction does not exceed: (row, col).
 
         `shape` contains the number of rows and columns in the frame.
         """

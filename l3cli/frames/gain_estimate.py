@@ -32,7 +32,8 @@ PATCH_SIDE_PIXELS, MIN_STEP = 8, 4
 MAX_PATCHES = 20_000  # maximum number of patches in a frame
 ROUNDS, CLOSE = 10, 0.01  # maximum number of iterations; they end earlier if the relative change in gain is below CLOSE
 STRIPE = 8  # width, in patches, of the alternating vertical stripes that form the two halves of the frame
-# Fraction of full scale from which a pixel is clipped, and maximum fraction of clipped pixels in a patch.
+# A pixel is clipped at or above the fraction CLIPPED of full scale. A patch is used only if at most the fraction MAX_CLIPPED
+# of its pixels is clipped.
 CLIPPED, MAX_CLIPPED = 0.99, 0.02
 # Minimum distance between a channel mean and black or white, in standard deviations, so that almost no noise is clipped.
 MIN_DEVIATIONS = 2.5
@@ -43,7 +44,7 @@ PLAIN = ((0.05, 1.0), (0.01, 2.0))
 AGREE = 1.3  # a signal range agrees with a gain if its measured and predicted variance differ by less than this factor
 LOWEST, HIGHEST = 2.0**-8, 2.0**10  # range of gains
 USUAL_EXCESS, MAX_EXCESS = 0.01**2, 25.0  # expected relative variance of texture, and maximum multiple of this variance
-# Fisher scoring: maximum number of steps, and the change in log gain at which it ends.
+# Fisher scoring: maximum number of steps. It ends earlier if log gain changes by less than SMALL.
 MAX_SCORING_STEPS, SMALL = 50, 1e-4
 # Relative standard errors: systematic error (tests/studies/test_gain_study.py), and maximum error of an accepted estimate.
 SYSTEMATIC, MAX_ERROR = 0.04, 0.08

@@ -28,17 +28,22 @@ from l3cli.physics.mosaic import shifted_cfa, tiled
 
 BLOCKS = 16  # number of blocks of columns
 MIN_BLOCK_COLUMNS = 16  # smallest width of a block
-MAX_COLUMN_DISTANCE = 2  # columns between a pixel and the pixels of its channel in the next row with which it is compared
-VOTE = 3.0  # standard deviations of the noise up to which a difference votes
-FLAT = 4.0  # standard deviations of the noise up to which two pixels are averaged
-MIN_VOTES = 0.5  # smallest fraction of a pair's unclipped pixels that must vote
+MAX_COLUMN_DISTANCE = 2  # largest distance, in columns, between two pixels of the same channel that are compared
+# A pixel difference votes if it is at most this many standard deviations. The standard deviation includes pixel noise and
+# row offsets.
+VOTE = 3.0
+FLAT = 4.0  # two pixels are averaged only if their difference is at most this many standard deviations of the pixel noise
+MIN_VOTES = 0.5  # a pair of lines is left out if a smaller fraction of its unclipped pixels votes
 # The variance between blocks counts several times, because neighbouring blocks often contain the same object.
 BLOCK_CORRELATION = 3.0
 POOLED_PAIRS = 4  # number of pairs before and after a pair that contribute to its variance between blocks
-SIGNIFICANT = 3.0  # standard deviations from which a pair's own variance between blocks counts if it is larger
+# A pair's own variance between blocks replaces the pooled variance if it is larger, and if it exceeds its expected value by
+# more than this many standard deviations.
+SIGNIFICANT = 3.0
 MAX_DIFFERENCE = 4.0 * np.sqrt(2)  # largest difference between two lines' offsets, in standard deviations of an offset
-TREND_PASSES = 2  # passes in which the trend of the differences is estimated
-# Mean square of neighbouring offsets, relative to their variance, from which they are reduced, and at which they become 0.
+TREND_PASSES = 2  # number of times that the trend of the differences is estimated
+# Neighbouring offsets are reduced if their mean square exceeds PLAUSIBLE times the variance of the camera's offsets. At
+# IMPLAUSIBLE times this variance, they become 0.
 PLAUSIBLE, IMPLAUSIBLE = 1.5, 3.0
 MAX_OFFSET = 3.0  # largest estimated offset, in standard deviations of an offset
 Floats = NDArray[np.float64]

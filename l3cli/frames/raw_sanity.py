@@ -22,8 +22,8 @@ from l3cli.physics.mosaic import shifted_cfa, tiled
 # In the constants below, differences between sites are fractions of the signal.
 BLOCK_SIDE, MAX_BLOCKS = 8, 32  # maximum side of a block in super-pixels; maximum number of blocks in each direction
 MIN_SIGNAL = 1e-3  # fraction of full scale; frames with a lower mean are too dark to check
-# Difference between the sites of a channel from which a phase may be wrong. In real frames, the difference is at most 0.007
-# at the correct phase, and at least 0.045 at wrong phases.
+# A phase may be wrong if the sites of a channel differ by at least this value. In real frames, the difference is at most
+# 0.007 at the correct phase, and at least 0.045 at wrong phases.
 SITES_DIFFER = 0.02
 # A phase may be wrong if the log ratio of two channel means, relative to a grey object, is at least this value. At the
 # correct phase, it is at most 0.67 even in coloured scenes.
@@ -54,7 +54,7 @@ CHECKED_SITES_DIFFER = 0.15
 LEAST_CHECK = 0.1
 CHECK_FITS = 30  # number of alternating fits of super-pixel and checkerboard; needed if the squares have an odd size
 TWO_GAINS = 2.0  # minimum ratio of the two gains in sensors in which pairs of rows alternate between them
-# Width, in pixels, of the areas in which noise is measured. This percentile over all areas represents uniform areas.
+# Noise is measured in areas of this width in pixels. This percentile of the noise over all areas represents uniform areas.
 NOISE_COLUMNS, NOISE_PERCENTILE = 8, 25
 UNCLIPPED = 0.8  # fraction of full scale; noise is measured only in areas with a lower mean
 MIN_NOISE = 0.5  # DN²; smaller variances are mainly rounding errors

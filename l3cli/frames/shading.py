@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:  # not imported at run time, which saves 80 ms when the decoding process starts
     from l3cli.artifacts.camera import FlatField
 
-CLIPPED = 0.985  # fraction of full scale from which pixels count as clipped and are not corrected
+CLIPPED = 0.985  # pixels at or above this fraction of full scale count as clipped, and are not corrected
 NODE_SPACING_COLUMNS = 16  # distance, in columns, between the nodes at which the output gain is stored
 FRACTION = 15  # number of fractional bits in the colour shading
 MIN_COLOUR_SHADING = 8  # in units of 2^-FRACTION, or about 0.02 %; smaller colour shading is not corrected

@@ -7,7 +7,7 @@ from l3cli.physics.stokes import aolp, dolp
 
 Floats = NDArray[np.floating]
 
-FULL_BRIGHTNESS = 0.5  # degree of polarisation from which pictures of the angle have full brightness
+FULL_BRIGHTNESS = 0.5  # pictures of the angle have full brightness at and above this degree of polarisation
 # sRGB values of the colour map viridis (CC0, Smith and van der Walt, 2015) at equidistant positions
 VIRIDIS = np.array(
     [(68, 1, 84), (71, 44, 122), (59, 81, 139), (44, 113, 142), (33, 144, 141), (39, 173, 129), (92, 200, 99),

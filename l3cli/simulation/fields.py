@@ -23,7 +23,7 @@ Field = NDArray[np.float32]
 Direction = tuple[float, float]  # elongation and its angle in radians
 
 LENGTHS, PHASES = 256, 256  # different moduli and phases of the random coefficients; 16 random bits select both
-SLOW = 1 / 16  # cycles per pixel; above this frequency, a piece has the same power as a field of the picture's size
+SLOW = 1 / 16  # cycles per pixel; above this frequency, pieces have the power spectrum of a field as large as the picture
 # For each texture: lowest and highest exponent of the amplitude spectrum, and stretch. The textures range from sand to
 # clouds, and the last one looks brushed.
 PINK = ((0.3, 0.9, 1.0), (0.8, 1.3, 1.0), (1.6, 1.6, 1.0), (1.0, 1.0, 1.0), (0.6, 0.6, 1.0), (1.1, 1.1, 4.0))

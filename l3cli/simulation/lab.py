@@ -59,7 +59,7 @@ class MonoRecipe(Recipe):
     overexposed: CountOrNone = 4
     level: Positive = 0.5  # fraction of full scale that the brightest channel reaches
     radiance: Positive = 1e18  # photons/s/sr/m² in each step
-    longest_exposure_s: Positive = 2.0  # limit of the exposure time, for wavelengths at which no channel is sensitive
+    longest_exposure_s: Positive = 2.0  # longest exposure time; used where no channel is sensitive to the wavelength
 
 
 class ChartRecipe(Recipe):

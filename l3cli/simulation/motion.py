@@ -20,7 +20,7 @@ Zoom = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
 Radius = Annotated[float, msgspec.Meta(gt=0, le=256)]
 FARTHEST_SHAKE = 3.0  # limit of random displacements, in standard deviations
 LEAST_ZOOM = 1e-6  # avoids a division by zero in very long clips that zoom out
-SUBFRAMES = 8  # instants during the exposure over which a frame is averaged for motion blur
+SUBFRAMES = 8  # motion blur is simulated by averaging the frame over this number of instants during the exposure
 
 
 class MovingLeaves(Recipe):

@@ -29,7 +29,7 @@ from l3cli.training.training_pass import BATCH_PATCHES, TrainingPass
 
 EXPOSED_PATCHES = 4096  # number of patches per group in step 1, small enough for the processor caches
 CLIPPED_GREY_EDGES = 8.0  # weight of grey patches at edges of clipped areas, such as text on over-exposed paper
-DARKEST_LEVEL = 1e-4  # smallest level by which a patch's weight is computed, as a fraction of full scale
+DARKEST_LEVEL = 1e-4  # lower limit of the level in a patch's training weight, as a fraction of full scale
 
 
 def sum_sites(

@@ -19,7 +19,7 @@ from l3cli.training.plain_surfaces import PlainSurfaces, plain_surfaces, polaris
 from l3cli.training.systems import Integers
 
 Array = NDArray[np.float64]
-ONE_LIGHT = 0.001  # largest relative spread at which several illuminants count as one
+ONE_LIGHT = 0.001  # illuminants with at most this relative spread count as a single illuminant
 
 
 @dataclass(frozen=True)

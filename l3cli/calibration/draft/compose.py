@@ -39,12 +39,12 @@ LAMP = (
     "[uncertainty] lamp_drift = 0.01 (relative), wavelength_nm = 0.1",
 )
 PITCH = "µm; distance between pixels, from the data sheet"
-LEAST_CHARTS = 2  # smallest number of charts from which gain and offset can be fitted
+LEAST_CHARTS = 2  # a fit of gain and offset needs at least this number of charts
 CORNERS = [[10, 10], [240, 10], [240, 170], [10, 170]]  # example of chart corners: column and row in pixels
 SHARING = ("[[mono]]", "[[band]]")  # types of captures to which the section [common] applies
 SEVERAL = 2  # if at least this many captures lack a key, it is written once, in [common]
 EXAMPLE_SPECTRUM = "spectra/mono.csv"
-PAIR = 2  # smallest number of frames from which noise can be measured
+PAIR = 2  # a measurement of noise needs at least this number of frames
 Mosaic = NDArray[np.floating]
 
 

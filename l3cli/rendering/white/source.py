@@ -171,8 +171,8 @@ def _between(values: Array, rows: Array, cols: Array) -> Array:
 NEUTRALS = range(18, 24)  # indices of the neutral patches, from white to black
 CORE = 0.25  # half the side of the measured square in a patch, as a fraction of the patch side
 WAVELENGTH = np.arange(400.0, 701.0, 10.0)  # nm
-# Smallest R² of the fit at which a chart counts as found. In tests, R² was at most 0.83 in 48 pictures without a chart, and
-# 0.998 in two pictures with a chart.
+# A chart counts as found if R² of the fit is at least this value. In tests, R² was at most 0.83 in 48 pictures without a
+# chart, and 0.998 in two pictures with a chart.
 MIN_R_SQUARED = 0.95
 
 

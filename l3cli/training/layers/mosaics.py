@@ -29,7 +29,7 @@ from l3cli.training.sums import runs_of
 from l3cli.training.symmetry import HALF_TURN, Allowed, orientations_of_scenes
 
 Floats = NDArray[np.float32]
-LARGEST_SIDE = 156  # largest side, in pixels, of a mosaic, and of the area over which its level is averaged
+LARGEST_SIDE = 156  # largest side, in pixels, of a mosaic and of the area that determines its mean level
 SHEET = 1 << 17  # number of pixels per batch, large enough to make the overhead per batch negligible
 
 

@@ -32,7 +32,7 @@ from l3cli.training.symmetry import orientations
 
 # A test compares a quotient with a threshold. Each test is tried with several thresholds, at quantiles of the quotient.
 THRESHOLDS_PER_TEST = 5
-QUOTIENT_SAMPLES = 1 << 13  # approximate number of samples per site from which these quantiles are computed
+QUOTIENT_SAMPLES = 1 << 13  # the quantiles are computed from about this number of samples per site
 TREE_SIDE_PIXELS = 64  # largest side of the mosaics, in pixels; small, because a tree needs only a few samples per mosaic
 SPLIT_SIDE_PIXELS = 3  # largest side, in pixels, of the windows for evaluating splits, when training on noise-free frames
 SAMPLES_PER_TAP = 4  # smallest number of samples per tap in a leaf, at every site
@@ -254,7 +254,7 @@ def _error(sums: Array) -> Array:
 
 PILOT_MOSAICS = 48  # total number of mosaics in which luminance noise is measured
 PILOT_SIDE = 72  # side of these mosaics, in pixels
-MAX_MEASURED_LEVEL = 0.8  # fraction of full scale above which noise is not measured
+MAX_MEASURED_LEVEL = 0.8  # noise is measured only at levels up to this fraction of full scale
 MIN_LEVEL_PIXELS = 1000  # for levels with fewer pixels, the noise is interpolated
 LAB_SLOPES = (500.0, 116.0, 200.0)  # proportional to the slopes of a*, L* and b* near white, in the order of the planes
 
