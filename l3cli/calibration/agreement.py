@@ -151,8 +151,8 @@ def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: A
 def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
     """Find implausible monochromatic captures, and describe them.
 
-    A capture is implausible if the response is far above, or far below, the responses at both neighbouring wavelengths, in
-    every channel that is sensitive at this wavelength. The search removes the worst capture and repeats until all remaining
+    In every channel that is sensitive at its wavelength, the response of an implausible capture is far above, or far below,
+    the responses at both neighbouring wavelengths. The search removes the worst capture and repeats until all remaining
     captures are plausible.
 
     Returns

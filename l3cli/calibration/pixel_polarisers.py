@@ -19,7 +19,7 @@ from l3cli.frames.measurement import Body, Measurements, SensorFigures
 from l3cli.frames.shading import interpolation
 from l3cli.frames.super_pixels import FRACTION, super_pixels
 
-LARGEST_DEVIATION = 0.25  # pixels with larger deviations are defective, and their deviations are limited
+LARGEST_DEVIATION = 0.25  # larger deviations, which only defective pixels have, are clipped to this value
 Array = NDArray[np.float64]
 
 
@@ -48,7 +48,7 @@ def with_pixel_polarisers(
 
 
 def estimator(fit: PolariserFit, lit: Array, electronics: Electronics) -> tuple[Array, Array]:
-    """Return weights of the captures for sums that estimate each pixel's response, and the noise of the estimates.
+    """Return the captures' weights in four sums, which estimate each pixel's response, and the noise of the estimates.
 
     The fourth sum is 0 for any response, so that it contains only noise. The number of frames in each capture does not have
     to be known, because `deviations` measures the noise in this sum.

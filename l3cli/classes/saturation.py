@@ -159,8 +159,8 @@ def _channels(table: TransformTable, code: int) -> list[str]:
 def _distances(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
     """Return, for each saturation code, the sum of its distances to all codes.
 
-    As in `choose_cases`, the distance is the number of channels that differ, plus one half if the second code contains a
-    clipped channel that the first does not. Pairs are not compared one by one, because there may be 2¹⁶ codes.
+    As in `choose_cases`, the distance is the number of channels that differ, plus one half if a channel clips only in the
+    second code. Pairs are not compared one by one, because there may be 2¹⁶ codes.
     """
     clips = codes[:, None] >> np.arange(channels) & 1
     frequency = clips.sum(axis=0)

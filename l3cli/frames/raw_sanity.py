@@ -58,8 +58,8 @@ TWO_GAINS = 2.0  # minimum ratio of the two gains in sensors in which pairs of r
 NOISE_COLUMNS, NOISE_PERCENTILE = 8, 25
 UNCLIPPED = 0.8  # fraction of full scale; noise is measured only in areas with a lower mean
 MIN_NOISE = 0.5  # DN²; smaller variances are mainly rounding errors
-# A difference between sites is evidence of a wrong CFA only if it is at least this multiple of the difference that is found
-# for a control period, which no CFA has.
+# A difference between sites is evidence of a wrong CFA only if it is at least CONTROL times the difference at a period that
+# no CFA has.
 CONTROL = 3.0
 FITS = 0.01  # sites that differ by less count as equal
 SMALLEST_BLACK = 16.0  # DN; lower black levels are not checked

@@ -6,8 +6,8 @@ pixels, then
 
     m = (A + D) s
 
-where each row of A is the response of a channel to S0, S1 and S2, and D contains the deviations of the pixels. The corrected
-signals are those of pixels without deviations:
+Each row of A is the response of a channel to S0, S1 and S2. D contains the deviations of the pixels. The corrected signals
+m' are the signals of pixels without deviations:
 
     m' = m - D (A + D)⁺ m
 
@@ -35,8 +35,8 @@ ROWS_AT_ONCE = 64  # rows of super-pixels that are processed together, to limit 
 class SuperPixelCorrection:
     """The correction of the pixels' polarisers for the frames of one camera."""
 
-    # (own, other, block row, block col): contribution of each pixel of a super-pixel to the change of each pixel of the same
-    # super-pixel, in units of 2^-FRACTION
+    # (own, other, block row, block col): change in the signal of pixel `own` of a super-pixel per unit signal of pixel
+    # `other` of the same super-pixel, in units of 2^-FRACTION
     coefficients: NDArray[np.int16]
 
     def corrected(self, values: NDArray[np.uint16], black_level: float, white_level: float) -> NDArray[np.uint16]:

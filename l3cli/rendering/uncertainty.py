@@ -511,9 +511,9 @@ def _counts(indices: NDArray[np.int64]) -> NDArray[np.bool_]:
 def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, measured: Array) -> tuple[Array, Array]:
     """Fit the gains G and the factors K by iterative proportional fitting.
 
-    Pixels are grouped in four ways: by level, by the class in the last layer pooled over all CFA sites, by the class at each
-    site, and by the kind in the first layer. In each group, the fit equates the predicted and the measured standard
-    deviation, averaged over the group's pixels.
+    Pixels are grouped in four ways: (1) by level, (2) by the class in the last layer, pooled over all CFA sites, (3) by the
+    class in the last layer at each site, and (4) by the kind in the first layer. In each group, the fit equates two means
+    over the group's pixels: the predicted and the measured standard deviation.
 
     Parameters
     ----------

@@ -456,10 +456,11 @@ def _polariser_deviation(
 ) -> Array:
     """Return the difference in photo-electrons, (row, col), between each pixel's polariser and its channel's polariser.
 
-    Behind a polariser at the angle θ, light with S1/S0 = p and S2/S0 = q causes A (1 + u) + B (1 − u) electrons, where A and
-    B are the electrons that unpolarised light causes along and across the axis, and u = p cos 2θ + q sin 2θ. The mean of u
-    over pixels with different angles is smaller than at their mean angle. u is divided by this ratio, so that the mean
-    response of the pixels is the response of the channel.
+    Let light with S1/S0 = p and S2/S0 = q pass a polariser at the angle θ, and let u = p cos 2θ + q sin 2θ. The light causes
+    A (1 + u) + B (1 − u) electrons. A and B are the electrons that unpolarised light causes along and across the axis.
+
+    If the angles of pixels differ, the mean of u over these pixels is smaller than u at their mean angle. u is therefore
+    divided by the ratio of the two, so that the mean response of the pixels is the response of the channel.
     """
     (first, second), angle = capture.stokes, polarisers.polariser_deg[channel]
     nominal, actual = 2 * np.radians(angle), 2 * np.radians(angle + defects.turn)

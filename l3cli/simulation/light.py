@@ -603,9 +603,8 @@ def colour_matrix(camera: CameraModel, light: Light) -> Array:
     Returns
     -------
     ndarray, (channel, 3)
-        Matrix M with signals = M @ XYZ, where white has Y = 1 and a signal of 1 in its brightest channel. M is a
-        least-squares fit to measured reflectances. It is exact for white, because raw converters derive the white balance
-        from M.
+        Matrix M with signals = M @ XYZ. White has Y = 1, and its signal in the brightest channel is 1. M is a least-squares
+        fit to measured reflectances. It is exact for white, because raw converters derive the white balance from M.
     """
     library = spectra.reflectance_library(light.wavelength)
     weights = electron_weights(camera, light, light.wavelength)

@@ -29,8 +29,9 @@ EVERY_ORIENTATION: Allowed = tuple(range(8))  # for isotropic noise
 IDENTITY_ONLY: Allowed = (0,)  # every site is trained separately
 HALF_TURN: Allowed = (0, 2)  # for polarisers, because all other orientations change the signs of S1 or S2
 LINES_KEPT: Allowed = (0, 2, 5, 7)  # rows stay rows and columns stay columns: identity, half turn and two reflections
-# Largest difference of the variances of row and column offsets, relative to the pixel noise variance in the dark, at which
-# rows and columns may be exchanged. Twice as many training patches per site are then worth more than the exact covariance.
+# Training may exchange rows and columns if the variances of row and column offsets differ by at most this fraction of the
+# pixel noise variance in the dark. The exchange doubles the number of training patches per site, which is then worth more
+# than the exact covariance.
 MAX_LINE_DIFFERENCE = 1 / 16
 
 

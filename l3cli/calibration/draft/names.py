@@ -41,8 +41,8 @@ COMMON = 12  # a value that occurs in at least this many pixels is frequent
 LEAST_CODES = 16  # smallest number of frequent values from which stretched values can be recognised
 # In unprocessed data, the value v + 1 may be missing for at most this fraction of the frequent values v.
 MOST_GAPS = 0.25
-# A frame is a drawing if its values span more than DRAWN (DN), and if more than the fraction PLAIN of its pixels with
-# intermediate values equal their neighbours.
+# A frame is a drawing if its values span more than DRAWN (DN), and if intermediate values occur mostly in plain areas: more
+# than the fraction PLAIN of the pixels with intermediate values equal their neighbours.
 PLAIN, DRAWN = 0.8, 8
 Array = NDArray[np.floating]
 

@@ -129,8 +129,8 @@ def sample_weights(
     """Compute every pixel's training weight (docs/method.md#sample-weights, docs/method.md#second-pass).
 
     Bright pixels, and pixels with a large squared error after the previous layers, have small weights. For X, Y, Z, the
-    error is the sum of two terms: the pixel's squared error without noise, and the squared error due to noise, averaged over
-    5 × 5 pixels. For other outputs, the squared error is averaged over the mosaic.
+    squared error is the sum of two terms: the pixel's own squared error without noise, and the mean, over 5 × 5 pixels, of
+    the squared error due to noise. For other outputs, the squared error is averaged over the mosaic.
 
     Parameters
     ----------
