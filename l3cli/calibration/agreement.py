@@ -19,7 +19,7 @@ FACTOR = 1.5  # largest plausible ratio between signals per second under the sam
 # illuminates the frame differently.
 SCALE = 3.0
 STEP = 3.0  # a response that differs from both neighbouring responses by more than this factor is implausible
-# The same limit for the first and last captures. They are compared with the nearest capture, and with a value extrapolated
+# Like STEP, but for the first and last captures. They are compared with the nearest capture, and with a value extrapolated
 # from the two nearest captures.
 END = 20.0
 LEAST = 0.02  # differences below this fraction of the largest response or signal are ignored

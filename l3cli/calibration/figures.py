@@ -85,7 +85,7 @@ def noise_errors(camera: CameraModel) -> dict[str, tuple[float, str]]:
 
 
 def _error_of_mean(camera: CameraModel, mean: float, deviations: Any, errors: Any) -> float:
-    """Return the standard error of `mean`, the RMS of the channels' `deviations`, weighted by the numbers of pixels.
+    """Return the standard error of `mean`, which is the RMS of the channels' `deviations`, weighted by numbers of pixels.
 
     `errors` are the standard errors of the deviations. If they are unknown, or if the mean is 0, the result is 0.
     """

@@ -132,7 +132,7 @@ def solve_channels(sweep: Sweep, delta: float) -> Array:
 
 
 def residuals(sweep: Sweep, responsivity: Array) -> Array:
-    """Return each channel's RMS residual of Eq. 1, relative to its largest value."""
+    """Return each channel's RMS residual of Eq. 1, relative to the channel's largest value."""
     relative = []
     for values, valid, curve in zip(sweep.values.T, sweep.valid.T, responsivity, strict=True):
         rest = values[valid] - sweep.design[valid] @ curve

@@ -77,7 +77,7 @@ def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> d
 
 
 def _of(index: int, count: int, ends: tuple[str, str]) -> str:
-    """Return a text such as "2 of 0…9", with one of the texts `ends` appended to the first and the last index."""
+    """Return a text such as "2 of 0…9". If the index is the first or the last, the matching text of `ends` is appended."""
     if count == 1:
         return "not distinguished"
     words = {0: f", the {ends[0]}", count - 1: f", the {ends[1]}"}.get(index, "")

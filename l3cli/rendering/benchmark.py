@@ -56,7 +56,7 @@ CLASSES = {"fast": (10, 1), "single": (20, 8), "default": (10, 9)}  # class reci
 
 
 def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
-    """Return a table with random transforms, with which rendering is as fast as with a trained table.
+    """Return a table with random transforms. Rendering with this table is as fast as with a trained table.
 
     The table has ten saturation cases, and the numbers of levels and chromas that `CLASSES` lists for the class recipe. A
     single-layer table also has two contrast classes. A two-layer table has the same direction classes, colour ratios, coarse

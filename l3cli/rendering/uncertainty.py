@@ -567,7 +567,7 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
 
 
 def _summed(part: Labels, values: NDArray[Any], size: int) -> Array:
-    """Sum values (cell, output) over the cells of each part: (part, output)."""
+    """Sum values (cell, output) over all cells with the same number in `part`: (part, output)."""
     return np.stack([np.bincount(part, of, size) for of in values.T], axis=-1)
 
 

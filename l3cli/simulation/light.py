@@ -25,7 +25,7 @@ from l3cli.spectra.table import NOISE, gaps
 Array = NDArray[np.floating]
 Curve = tuple[Array, Array]  # (sample,), wavelengths in nm; (curve, sample), values
 
-SCENE_LIGHT = "scene"  # illuminant name that stands, in recipes, for the illuminant stored with a scene
+SCENE_LIGHT = "scene"  # in recipes, this name selects the illuminant that is stored with a scene
 WIDEST_GAP = 20.0  # largest permitted distance between samples of a measured illuminant, in nm
 INCOMPLETE_FRACTION = 0.01  # a measured spectrum is incomplete if its first or last value exceeds this fraction of the peak
 
@@ -41,7 +41,7 @@ OUTPUTS = {
 }
 UNLIT = "reflectance 31"  # key of the target that does not depend on the illuminant
 NOTICEABLE = 0.01  # l3 warns if wavelengths without data produce more than this fraction of a channel's electrons
-CAMERA = "camera"  # value of the recipe key target.outputs that selects all camera bands at full resolution
+CAMERA = "camera"  # in recipes, this value of target.outputs selects all camera bands at full resolution
 
 
 @dataclass(frozen=True)

@@ -225,10 +225,10 @@ class OpenCLFilter:
         self._planes(buffers.history[0], buffers.before, buffers.now, 0)
 
     def _planes(self, values: Any, made: Any, before: Any, free_bits: int) -> None:
-        """Compute two image pyramids: the new frame's pyramid in `made`, from `values`, and the previous frame's in
-        `before`.
+        """Compute the image pyramids of the new frame and of the previous frame.
 
-        `before` already contains the finest plane.
+        The new frame's pyramid is computed from `values`, and stored in `made`. The previous frame's pyramid is in `before`,
+        which already contains the finest plane.
         """
         grid = self._grid
         parts = -(-grid.shape[0] // (grid.period[0] << grid.planes - 1))
