@@ -921,7 +921,7 @@ class CameraModel(Artifact):
         return bool(self.noise.lines or self.noise.column_noise or self.noise.row_noise)
 
     def line_variances(self, dark: float = 0.0) -> tuple[float, float]:
-        """Return the variances of the row offsets and of the column offsets, both temporal and fixed.
+        """Return the variance of the row offsets and of the column offsets. Temporal and fixed offsets are included.
 
         All pixels of a row share the row offset, and all pixels of a column share the column offset. The result is what
         remains after the correction of the offsets (see `corrected_noise`). The constant term of `noise_terms` includes both

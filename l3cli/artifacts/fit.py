@@ -283,7 +283,7 @@ class SeriesFit:
 
 @dataclass(frozen=True)
 class LightGuess:
-    """Probability that each photo was taken under each common illuminant, assuming that it was one of them."""
+    """Probability of each common illuminant for each photo, assuming that one of them lit the photo."""
 
     names: tuple[str, ...] = data("str", "usual_light", doc="names of the common illuminants")
     probability: NDArray[np.float64] = data("float64", "photo", "usual_light", doc="probability of each common illuminant")

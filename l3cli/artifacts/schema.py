@@ -154,7 +154,7 @@ def _declared(cls: type) -> tuple[tuple[str, Spec | Group], ...]:
 
 
 def is_stored(instance: Any, name: str, spec: Spec) -> bool:
-    """Return whether the file contains a dataset: always, unless the dataset is optional and has its default value."""
+    """Return whether a dataset is written to the file. Only an optional dataset with its default value is omitted."""
     return not spec.optional or not np.array_equal(getattr(instance, name), getattr(type(instance), name))
 
 

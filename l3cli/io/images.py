@@ -107,7 +107,7 @@ def require_bearable(path: Path, spec: Any) -> None:
 
 
 def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
-    """Raise InputFileError if a TIFF file has fewer pages than frames according to its description.
+    """Raise InputFileError if a TIFF file has fewer pages than the number of frames in its description.
 
     ImageJ and tifffile may store only the first frame of a stack as a page, and append all other frames without page
     headers.

@@ -223,7 +223,7 @@ class MeasurementRecipe(Recipe):
     channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)
     uncertainty: UncertaintyRecipe = msgspec.field(default_factory=UncertaintyRecipe)
     masked: MaskedRecipe | None = None  # optically black pixels around the light-sensitive pixels, as in a camera recipe
-    # whether to add blinking pixels to the defects; they are found in 32 or more dark frames with the same exposure
+    # whether to search for blinking pixels, and add them to the defects; requires 32 dark frames with the same exposure
     blinking_defects: bool = False
 
     def __post_init__(self) -> None:

@@ -394,9 +394,9 @@ def _line_noise_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
 
 
 def _nonuniformity_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
-    """Return table rows for the total DSNU and PRNU, and for their row, column and pixel parts, with known standard errors.
+    """Return table rows for the total DSNU and PRNU, and for their row, column and pixel parts.
 
-    The row and column parts are the same for all channels.
+    If a standard error is known, it follows in a separate row. The row and column parts are the same for all channels.
     """
     every = np.ones_like(noise.dsnu)
     unknown = np.zeros_like(noise.dsnu)

@@ -284,7 +284,7 @@ CHECKS = {
 INDENT = "  "
 # parts in which the messages of similar faults may differ: the number of a list entry, or the name of a missing file
 ENTRY = re.compile(r"\[\d+\]|^.*(?= does not exist)")
-MAX_LISTED = 3  # more similar faults than this are printed as one line
+MAX_LISTED = 3  # if more than this number of faults are similar, they are printed as one line
 MAX_LINE_NUMBERS = 8  # maximum number of line numbers that are listed for similar faults
 SYNTAX = re.compile(r"\(at line (\d+), column \d+\)")  # position in an error message of the TOML parser
 

@@ -22,7 +22,7 @@ class SceneFormat:
 
     source: str  # value of the key `source` in a recipe
     module: str  # module in this folder that reads the format
-    suffixes: tuple[str, ...] = ()  # in lower case; empty for all suffixes that no earlier entry for this source lists
+    suffixes: tuple[str, ...] = ()  # in lower case; empty: every suffix that no earlier entry for this source lists
     keys: tuple[str, ...] = ()  # recipe keys that are passed to `read` and `size`
     is_folder: bool | None = False  # whether a scene is a folder instead of a file; None if it can be either
     has_files: bool = False  # whether a scene consists of several files

@@ -83,7 +83,7 @@ class PictureMaker:
                 yield from self._displayed(run, usual)
 
     def _displayed(self, tasks: Iterable[FrameTask], usual: WhiteBalance) -> Iterator[tuple[FrameTask, Picture]]:
-        """Yield each frame with its encoded picture. `usual` is the white balance of frames without their own."""
+        """Yield each frame with its encoded picture. `usual` is for frames without a white balance of their own."""
         started: deque[FrameTask] = deque()
 
         def displayed() -> Iterator[tuple[RawFrame, Display]]:
