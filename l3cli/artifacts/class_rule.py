@@ -344,22 +344,22 @@ class ClassRule:
         return values.reshape(len(values) // self.classes_per_site, *self.shape, *values.shape[1:])
 
     def kind(self, chroma: Any, case: Any) -> Any:
-        """Combine chroma and saturation case into the kind. The chroma is ignored unless the saturation case is 0."""
+        """Combine a chroma and a saturation case into one index, the kind. The chroma is ignored unless the case is 0."""
         return np.where(np.greater(case, 0), self.chromas - 1 + case, chroma)
 
     def case(self, kind: Any) -> Any:
-        """Return the saturation case of each kind, or 0 if the kind is a chroma."""
+        """Return the saturation case that each index `kind` stands for, or 0 if it stands for a chroma."""
         return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # kinds may be unsigned: avoid negative differences
 
     def lost(self, kind: Any) -> Any:
         """Return the sequence number, from 1, of a saturation case in which all channels of a colour filter clip.
 
-        The result is 0 for kinds with any other saturation case.
+        The result is 0 for chromas and for all other saturation cases.
         """
         return np.maximum(self.case(kind) - self.spared_cases, 0)
 
     def kinds_of(self, case: int) -> slice | int:
-        """Return the kinds with a given saturation case: all chromas for case 0, otherwise a single kind."""
+        """Return the values of `kind` for a saturation case: all chromas for case 0, otherwise a single value."""
         return self.chromas - 1 + case if case else slice(0, self.chromas)
 
     def join_cases(self, level: Any, contrast: Any, case: Any) -> Any:

@@ -131,11 +131,11 @@ class PlaneClasses(GradientScale):
         return site, within
 
     def kind(self, structure: Any, case: Any) -> Any:
-        """Combine structure and saturation case into the kind. The structure is ignored unless the case is 0."""
+        """Combine a structure and a saturation case into one index, the kind. The structure is ignored unless the case is 0."""
         return np.where(np.greater(case, 0), self.structures - 1 + case, structure)
 
     def case(self, kind: Any) -> Any:
-        """Return the saturation case of each kind, or 0 if the kind is a structure."""
+        """Return the saturation case that each index `kind` stands for, or 0 if it stands for a structure."""
         return np.maximum(kind - self.structures + 1, 0)
 
 

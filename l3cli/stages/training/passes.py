@@ -78,7 +78,7 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
 
 
 def pass_of(run: TrainingRun, table: TransformTable, number: int | None = None) -> TrainingPass:
-    """Return the settings of a pass with the class rule and the white of a table. The default is the first pass."""
+    """Return the settings of pass `number`, by default the first, with the class rule and the white of a table."""
     about = (run.head, run.patches, table.first.rule, run.recipe.learning, table.white_point, run.seed)
     return TrainingPass(*about, number or _first_number(run), table.exposure, table.light)
 
@@ -89,7 +89,7 @@ def _first_number(run: TrainingRun) -> int:
 
 @dataclass(frozen=True)
 class PilotUnit:
-    """A work unit of the pilot: a range of frames."""
+    """A work unit of the pilot, which examines a few patches of each frame: a range of frames."""
 
     training: tuple[TrainingSource, ...]
     remote: bool  # whether the worker is on another machine and must verify the bytes of its files
@@ -106,7 +106,7 @@ def _pilot(unit: PilotUnit) -> Pilot:
 
 
 def _is_pilot_of(unit: PilotUnit, pilot: Pilot) -> bool:
-    """Return whether a result from another machine is a pilot with arrays of the types and shapes that the unit requires."""
+    """Return whether a result from another machine is a Pilot whose arrays have the types and shapes that the unit requires."""
     channels, frames = len(unit.head.camera.channels), len(unit.frames)
     measured = (pilot.shares, pilot.whites, pilot.lights, pilot.exposures, *pilot.observed.values())
     return (

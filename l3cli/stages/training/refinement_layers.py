@@ -122,7 +122,7 @@ def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: P
 def summed_layer(
     run: TrainingRun, layer: LayerPass, rule: PlaneRule, blocks: list[range], execution: Execution
 ) -> dict[int, LayerSums]:
-    """Compute the normal equations of a refinement layer, summed over blocks of frames, for each canonical site."""
+    """Sum the normal equations of a refinement layer over blocks of frames, for each group of symmetric CFA sites."""
     sums = no_sums(layer, rule)
     units = _units(run, layer, rule, blocks, execution)
     for part in execution.console.progress(execution.pool(_sum, units, _are_sums), len(units), f"layer {layer.number}"):

@@ -206,7 +206,7 @@ def _write_shard(
 def _sums(
     run: TrainingRun, pass_: TrainingPass, table: TransformTable | None, shard: tuple[int, int], execution: Execution
 ) -> Iterator[ClassSums]:
-    """Yield each canonical site's normal equations, summed over the frames of a shard. Shards without frames yield zeros."""
+    """Yield the normal equations for each group of symmetric CFA sites, summed over a shard's frames; zeros without frames."""
     index, count = shard
     blocks = frame_blocks(pass_.patches)[index - 1 :: count]
     sums = summed(sum_unit, run, pass_, table, blocks, execution)
