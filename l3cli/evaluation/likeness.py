@@ -89,7 +89,7 @@ def _colour_difference(one: CameraModel, other: CameraModel, light: LightSpectru
 
 
 def noise_ratio(one: CameraModel, other: CameraModel) -> float:
-    """Return the ratio of noise standard deviations of two cameras, `other` to `one`.
+    """Return the noise standard deviation of `other`, divided by the noise standard deviation of `one`.
 
     Noise and signal are fractions of full scale. The ratio is computed at each signal in NOISE_SIGNALS, and the ratio that
     differs most from 1 is returned.

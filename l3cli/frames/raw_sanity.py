@@ -53,7 +53,7 @@ SLANTS = ((1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))  # lines on which r
 CHECKED_SITES_DIFFER = 0.15
 LEAST_CHECK = 0.1
 CHECK_FITS = 30  # number of alternating fits of super-pixel and checkerboard; needed if the squares have an odd size
-TWO_GAINS = 2.0  # minimum ratio of the two gains in sensors in which pairs of rows alternate between them
+TWO_GAINS = 2.0  # minimum ratio of the two gains of a sensor whose pairs of rows alternate between two gains
 # Noise is measured in areas of this width in pixels. This percentile of the noise over all areas represents uniform areas.
 NOISE_COLUMNS, NOISE_PERCENTILE = 8, 25
 UNCLIPPED = 0.8  # fraction of full scale; noise is measured only in areas with a lower mean

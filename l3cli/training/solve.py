@@ -300,8 +300,8 @@ def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Arr
 
     Only these classes are trained on uniform patches, so that textured surfaces keep their colour. The patches are measured
     surfaces or, if the outputs are X, Y, Z, S1 and S2, a polarised grey. In classes with a direction, the patches have the
-    weight `DIRECTED_SURFACES`, unless the rule has only one chroma. Chromas that occur only in stripes are trained on stripes
-    in classes of any direction.
+    weight `DIRECTED_SURFACES`, unless the rule has only one chroma. Chromas that occur only in stripes are trained on
+    stripes, in classes of any direction.
 
     The dict is empty if the goal contains neither surfaces nor a polarised grey. It is also empty if the goal contains
     surfaces, but `white` (from `white_channels`) does not come from the camera model.
