@@ -131,7 +131,7 @@ class PlaneClasses(GradientScale):
         return site, within
 
     def kind(self, structure: Any, case: Any) -> Any:
-        """Combine a structure and a saturation case into one index, the kind. The structure is ignored unless the case is 0."""
+        """Combine structure and saturation case into one index, the kind. The structure is ignored unless the case is 0."""
         return np.where(np.greater(case, 0), self.structures - 1 + case, structure)
 
     def case(self, kind: Any) -> Any:

@@ -194,7 +194,8 @@ class UncertaintyRecipe(Recipe):
 
     lamp_drift: Below1 = 0.0  # relative drift of the lamp spectrum that the monitor does not correct
     photodiode: Below1 = 0.0  # relative error of the photodiode's responsivity in [sweep], at each wavelength
-    wavelength_nm: Annotated[float, msgspec.Meta(ge=0, lt=100)] = 0.0  # error of the spectrometer or monochromator
+    # error of the wavelength scale of the spectrometer or monochromator
+    wavelength_nm: Annotated[float, msgspec.Meta(ge=0, lt=100)] = 0.0
 
 
 class MeasurementRecipe(Recipe):

@@ -399,7 +399,7 @@ class SpectrumFormat:
     """A file format for spectra. docs/own-lab.md lists all formats."""
 
     name: str
-    suffixes: tuple[str, ...]  # in lower case; comparisons ignore case
+    suffixes: tuple[str, ...]  # file suffixes in lower case; comparisons ignore case
     holds: str  # description of what l3 reads, for the documentation
     is_of: Callable[[str], bool] | None  # tests whether a text has this format, or None if the suffix determines the format
     read: Callable[[str, Path], CurveTable]  # reads the text of a file, given its path for messages

@@ -303,7 +303,7 @@ class Judgement:
 
     path: Path
     kind: str | None = None  # type of the recipe, a key of KINDS; None if unknown
-    findings: tuple[Finding, ...] = ()  # at most LISTED_FAULTS
+    findings: tuple[Finding, ...] = ()  # the first faults, at most LISTED_FAULTS
     more: int = 0  # number of faults that are not in `findings`
     meaning: dict[str, Any] = field(default_factory=dict)
     files: tuple[Path, ...] = ()  # existing files to which the recipe refers

@@ -71,7 +71,7 @@ class Picture:
 class PictureFormat:
     """A picture format that l3 writes."""
 
-    suffixes: tuple[str, ...]  # in lower case
+    suffixes: tuple[str, ...]  # file suffixes in lower case
     module: str  # module in this folder that encodes files
     bits: tuple[int, ...] = ()  # supported bits per value; FLOAT_BITS means that the format also supports linear values
     holds: str = "codes"  # content of the files: "codes", "linear" (linear values only) or "raw" (DN for raw converters)

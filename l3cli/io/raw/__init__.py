@@ -33,7 +33,7 @@ class RawContent(TypedDict):
     notes: NotRequired[tuple[str, ...]]  # warnings about properties of the file that l3 ignores
     # user parameter that resolves a fault or an unsupported request in the file → message
     faults: NotRequired[dict[str, str]]
-    exchangeable: NotRequired[bool]  # whether a headerless file has the right size for cols×rows pixels, too
+    exchangeable: NotRequired[bool]  # whether the size of a headerless file also fits cols×rows pixels
     # possible interpretations of the bytes, of which the first is used: (option that selects it, values, bits)
     readings: NotRequired[Callable[[], Iterable[tuple[str, NDArray[np.uint16], int]]]]
 

@@ -19,7 +19,7 @@ class UnreadFormat:
     """A format that l3 recognises but does not read."""
 
     name: str  # noun with an article, for messages of the form "FILE is NAME; INSTEAD"
-    suffixes: tuple[str, ...]  # in lower case
+    suffixes: tuple[str, ...]  # file suffixes in lower case
     instead: str  # advice for messages, in the imperative
     magic: tuple[tuple[int, bytes], ...] = ()  # (offset, bytes) pairs, any of which identifies the format
 

@@ -43,7 +43,7 @@ class HeaderField:
 
     name: str
     fate: str  # READ: used. REFUSED: rejected if its value is unsupported. HARMLESS: ignored, because it has no effect.
-    meaning: str  # for the documentation
+    meaning: str  # meaning of the field, for the documentation
 
 
 FIELDS = (

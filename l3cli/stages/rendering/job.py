@@ -53,7 +53,7 @@ class Job:
 
     table_file: Path
     digest: str  # SHA-256 of the table
-    table: TransformTable  # with the transforms for all its illuminants
+    table: TransformTable  # table that still contains the transforms for all its illuminants
     inputs: tuple[Path, ...]
     sequence: FrameSequence
     destination: Destination

@@ -23,7 +23,7 @@ from l3cli.stages.rendering.job import Job, video_choice
 class Look:
     """Settings of a rendering that may depend on the first frame."""
 
-    table: TransformTable  # with the transforms for the illuminant of the frames
+    table: TransformTable  # table that contains only the transforms for the illuminant of the frames
     light_mix: Mix | None  # mixture of illuminants for which the transforms are blended; None: common transforms
     overrides: RawOverrides  # Job.overrides, with the estimated gain
     sequence: FrameSequence  # the frames, which are read with these overrides

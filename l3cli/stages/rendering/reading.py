@@ -35,7 +35,7 @@ class FrameTask:
     frame: RawFrame | None = None  # None if a worker reads the frame, if the frame is not needed, or after an error
     digest: str = ""  # SHA-256 of the file if a worker reads the frame
     identity: str = ""  # identity of the frame in the metadata of its picture
-    scale: float = 0.0  # exposure scale; 0 for automatic exposure
+    scale: float = 0.0  # factor by which the linear outputs are scaled; 0 for automatic exposure
     balance: WhiteBalance | None = None  # white balance; None for the white balance of the rendition
     white: SceneWhite | None = None  # measured white
     brightness: float = 0.0  # brightness from FrameMeter.looked_at

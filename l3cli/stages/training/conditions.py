@@ -47,7 +47,7 @@ def learn_conditions(run: TrainingRun, table: TransformTable, execution: Executi
 def _with_noises(
     run: TrainingRun, pass_: TrainingPass, usual: TransformTable, like: TransformTable, execution: Execution
 ) -> TransformTable:
-    """Train transforms for each noise level in the recipe, with the class rules of `like`, and add them to the table `usual`."""
+    """Train transforms for each noise level in the recipe, with `like`'s class rules, and add them to the table `usual`."""
     made = []
     for noise, each in zip(run.recipe.learning.noises, passes_of(pass_, run.given)[1:], strict=True):
         execution.console.info(f"training transforms for {noise}")

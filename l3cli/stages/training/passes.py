@@ -106,7 +106,7 @@ def _pilot(unit: PilotUnit) -> Pilot:
 
 
 def _is_pilot_of(unit: PilotUnit, pilot: Pilot) -> bool:
-    """Return whether a result from another machine is a Pilot whose arrays have the types and shapes that the unit requires."""
+    """Return whether a result from another machine is a Pilot whose arrays have the required types and shapes."""
     channels, frames = len(unit.head.camera.channels), len(unit.frames)
     measured = (pilot.shares, pilot.whites, pilot.lights, pilot.exposures, *pilot.observed.values())
     return (

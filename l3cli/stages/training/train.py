@@ -206,7 +206,10 @@ def _write_shard(
 def _sums(
     run: TrainingRun, pass_: TrainingPass, table: TransformTable | None, shard: tuple[int, int], execution: Execution
 ) -> Iterator[ClassSums]:
-    """Yield the normal equations for each group of symmetric CFA sites, summed over a shard's frames; zeros without frames."""
+    """Yield the normal equations for each group of symmetric CFA sites, summed over the frames of a shard.
+
+    The sums are zero if the shard has no frames.
+    """
     index, count = shard
     blocks = frame_blocks(pass_.patches)[index - 1 :: count]
     sums = summed(sum_unit, run, pass_, table, blocks, execution)
