@@ -16,7 +16,7 @@
 #define SUMS (4 / AT_ONCE_OUTPUTS)          // vectors for four outputs
 #define ONCE (TAP_LANES / AT_ONCE_OUTPUTS)  // taps per output in a vector
 #define VECTORS ((TAPS + ONCE - 1) / ONCE)
-#define CLASS_STRIDE (TAP_LANES * SUMS * (1 + VECTORS))  // weights per class, after the intercepts
+#define CLASS_STRIDE (TAP_LANES * SUMS * (1 + VECTORS))  // values of type `tap` per class: a header with the intercepts, and the weights
 #define PLANES_MADE OUTPUTS
 #define READ_AHEAD ONCE
 

@@ -512,8 +512,8 @@ def pack_whole_in_vectors(layer: WholeWeights, lanes: int) -> NDArray[np.int16]:
 def _side_by_side(taps: NDArray, intercept: NDArray, once: int) -> NDArray:
     """Pack the weights of each class for side_by_side.cl.
 
-    Each class begins with a header of 16 numbers, which contains the intercepts of the four outputs at a stride of 4. The
-    taps follow in blocks (output, tap) of four outputs and `once` taps. Missing outputs and taps are zero.
+    Each class begins with a header of sixteen 32-bit numbers, which contains the intercepts of the four outputs at a stride
+    of 4. The taps follow in blocks (output, tap) of four outputs and `once` taps. Missing outputs and taps are zero.
     """
     classes, outputs, count = taps.shape
     first = np.zeros((classes, 4, 4), intercept.dtype)
