@@ -634,7 +634,7 @@ def linearity_errors(series: Series, span: float) -> Array:
     """Return each channel's linearity error, averaged over filters and patches.
 
     Only captures in which a patch's signal is between 5 % and 95 % of full scale (`span`, in DN) are used. If fewer than
-    three such captures remain for a filter, this patch is ignored. If no patch is usable, the error is 0.
+    three such captures remain for a filter, the patch is ignored for this filter. If no patch is usable, the error is 0.
     """
     low, high = (share * span for share in noise.LINEAR)
     errors: list[list[float]] = [[] for _ in range(series.values.shape[2])]

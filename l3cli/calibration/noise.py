@@ -221,8 +221,9 @@ def line_noise(squares: Sequence[tuple[float, float, int]], pixels: int) -> Line
     """Estimate temporal row or column noise (docs/method.md#row-and-column-noise).
 
     A line is a row or a column. A chi-squared test compares the mean square of the lines with the mean square of the pixels.
-    The noise is significant if their ratio would be as large in a sensor without line noise with a probability of at most
-    `CHANCE`. Fixed patterns have no effect, because the mean squares come from differences between frames.
+    The noise is significant if, in a sensor without line noise, a ratio at least as large as the measured ratio would occur
+    with a probability of at most `CHANCE`. Fixed patterns have no effect, because the mean squares come from differences
+    between frames.
 
     Parameters
     ----------

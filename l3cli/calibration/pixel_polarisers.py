@@ -48,10 +48,11 @@ def with_pixel_polarisers(
 
 
 def estimator(fit: PolariserFit, lit: Array, electronics: Electronics) -> tuple[Array, Array]:
-    """Return the captures' weights in four sums, which estimate each pixel's response, and the noise of the estimates.
+    """Return the captures' weights in four sums, and the noise of the first three sums.
 
-    The fourth sum is 0 for any response, so that it contains only noise. The number of frames in each capture does not have
-    to be known, because `deviations` measures the noise in this sum.
+    The first three sums estimate each pixel's response to S0, S1 and S2. The fourth sum is 0 for any response, so that it
+    contains only noise. The number of frames in each capture does not have to be known, because `deviations` measures the
+    noise in the fourth sum.
 
     Parameters
     ----------

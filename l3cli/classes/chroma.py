@@ -128,7 +128,7 @@ def chroma_centres(rule: ClassRule) -> NDArray[np.float64]:
 
 
 def chroma_widths(rule: ClassRule) -> NDArray[np.int32]:
-    """Return the dither width of each chroma, in 1/256 of a score for channel means that add up to 1.
+    """Return the dither width of each chroma. The unit is 1/256 of the scores for channel means that add up to 1.
 
     A pixel can use the second nearest chroma centre only if the scores of the two nearest centres differ by less than the
     dither width. A chroma's width is DITHERED times the squared distance from its centre to the closest other centre. If the

@@ -110,8 +110,8 @@ def _strength_edges(
     """Return the integer edges between strengths: (strength edge, level).
 
     The edges are multiples of each level's RMS difference due to noise alone. Row noise and column noise affect some of the
-    four differences more than others. If a camera has such noise, the edges are multiples of the noisiest difference, so
-    that noise is not mistaken for structure.
+    four differences more than others. If a camera has such noise, the edges are multiples of the RMS of the noisiest
+    difference, so that noise is not mistaken for structure.
     """
     counts = np.zeros((4, rule.patch, rule.patch))
     for window in windows:
