@@ -185,8 +185,8 @@ def measured_snr(plane: Array) -> float:
 def crossing(lux: Array, snr: Array) -> float | None:
     """Return the illuminance in lux above which all measured signal-to-noise ratios are at least `SNR`.
 
-    It is interpolated on logarithmic scales. The result is None outside the measured range, or if the last ratio below SNR
-    is 0.
+    It is interpolated on logarithmic scales between the last measured ratio below `SNR` and the next. The result is None if
+    the illuminance is outside the measured range, or if the ratio below `SNR` is 0.
     """
     below = np.flatnonzero(snr < SNR)
     if not below.size or below[-1] == len(lux) - 1 or not snr[below[-1]] > 0:

@@ -148,7 +148,7 @@ class Correction:
         return hashlib.sha256(repr(self.shape).encode() + b"".join(content)).hexdigest()
 
     def corrected(self, frame: RawFrame) -> RawFrame:
-        """Return the frame with bad pixels replaced, polarisers of single pixels corrected, and with the shading correction.
+        """Return the frame with bad pixels replaced, polarisers of single pixels corrected, and the shading gain added.
 
         The flat field takes precedence over a shading correction in the raw file. Raises InputFileError if the frame is not
         a full frame from this camera.

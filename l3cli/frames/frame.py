@@ -189,7 +189,7 @@ def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]
 
     The result has `length` + 2 · `margin` elements. So that the padding continues the mosaic, a sample in the margin is
     copied from the sample with the same CFA phase that is nearest to its mirror image (docs/method.md#rendering). If the
-    frame is shorter than the CFA period, it is copied from the nearest sample.
+    row or column is shorter than the CFA period, samples in the margin are copied from the nearest sample.
     """
     wanted = np.arange(-margin, length + margin)
     if length < period:

@@ -54,7 +54,7 @@ def without_picture_offsets(frame: RawFrame, camera: CameraModel) -> RawFrame:
     """Subtract the row and column offsets that are estimated from the picture itself. Clipped pixels are unchanged.
 
     Rows are corrected only if the camera has row noise, and columns only if it has column noise. If the camera has neither,
-    or if the frame shows no offsets, the frame is returned.
+    or if the frame shows no offsets, the frame is returned unchanged.
 
     Parameters
     ----------

@@ -313,8 +313,8 @@ def _raw_sigma(
 ) -> Array:  # fmt: skip
     """Return the standard deviation s of a raw value at each pixel's signal level, as a fraction of full scale.
 
-    The noise terms are averaged over the channels. `scale` is `RawFrame.light_share` times each pixel's shading gain. The
-    outputs are multiplied by this factor, and so is the result.
+    The noise terms are averaged over the channels. `scale` is `RawFrame.light_share` times each pixel's shading gain. Both
+    the outputs and the result include this factor.
     """
     span = table.white_level - table.black_level
     constant, linear, quadratic = (np.mean(term) / span**2 for term in terms)

@@ -106,7 +106,7 @@ def fits_between(transforms: Array) -> NDArray[np.bool_]:
 def _moderate(solutions: Array, member: Array, taps: int, integers: Integers) -> NDArray[np.bool_]:
     """Whether each class's transform leaves enough headroom in the integer formats for the equal-response constraint.
 
-    The transform must still fit if it is multiplied by `EQUAL_RESPONSE_MARGIN`. So must the correction that changes the
+    Two things must still fit if multiplied by `EQUAL_RESPONSE_MARGIN`: the transform, and the correction that changes the
     response to one channel by 1.
     """
     outputs, used = solutions.shape[2] - len(member), member.any(axis=1)
