@@ -87,7 +87,8 @@ static float least_luminance(const uint16_t *padded, int row, int x, int rows, i
     return smallest * (smallest > 0 ? L3_LEAST_OF_POSITIVE : L3_LEAST_OF_NEGATIVE) * (1 << L3_OUTPUT_FRACTION);
 }
 
-/* Raises pixels in a row that are much darker than the raw values around them. X and Z move towards the diagonal neighbours' chroma. */
+/* Raises the luminance of pixels in a row that are much darker than the raw values around them. Their chroma moves towards the chroma of
+ * their diagonal neighbours. */
 static void raise_row(const Smoothing *s, const uint16_t *padded, int row, int rows, int columns, int phase_row, int phase_column,
                       ptrdiff_t stride, L3Output *to) {
     const ptrdiff_t span = s->span;
@@ -110,8 +111,8 @@ static void raise_row(const Smoothing *s, const uint16_t *padded, int row, int r
 }
 #endif
 
-/* Averages the chroma of each pixel with neighbours of similar luminance and chroma, then raises pixels that are much darker than the raw
- * values around them. */
+/* Averages the chroma of each pixel with neighbours of similar luminance and chroma. Then raises the luminance of pixels that are much
+ * darker than the raw values around them. */
 static void smooth_outputs(const Smoothing *s, const uint16_t *padded, int rows, int columns, int phase_row, int phase_column,
                            L3Output *outputs) {
     for (int row = 0; row < REACHED && row < rows; row++) keep_row(s, row, rows, columns, outputs);

@@ -18,7 +18,7 @@ static int modulo(int value, int period) { return (value % period + period) % pe
 
 /* ---------------------------------------------------------------------------------------------------------------- borders */
 
-/* Returns the index of the sample to use in place of sample `wanted`: the one of equal CFA phase nearest to the mirror image. */
+/* Returns the index of the sample to use in place of sample `wanted`: the sample of the same CFA phase nearest to the mirror image. */
 static int mirrored(int wanted, int length, int period) {
     if (length < period) return clamped(wanted, 0, length - 1);
     int mirror = wanted < 0 ? -wanted : wanted >= length ? 2 * (length - 1) - wanted : wanted;
