@@ -390,7 +390,7 @@ class NoiseScale:
 
     @property
     def shot(self) -> float:
-        """Shot-noise variance, relative to the calibrated camera at the same signal in DN."""
+        """Shot-noise variance, divided by the shot-noise variance of the calibrated camera at the same signal in DN."""
         return self.gain * self.noise_left
 
     def __str__(self) -> str:

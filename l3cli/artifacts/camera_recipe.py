@@ -594,7 +594,7 @@ def share_faults(value: float, key: str, most: float) -> Iterator[Fault]:
 
 
 def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
-    """Find pixel pitches and focal lengths with a probably wrong unit, and an impossible f-number or object distance."""
+    """Find pixel pitches and focal lengths in a probably wrong unit, and impossible f-numbers and object distances."""
     least, most = PITCHES_UM
     if not least <= pitch_um <= most:
         meant = next(

@@ -54,8 +54,8 @@ class ClassSums:
 def noise_columns(rule: ClassRule, camera: CameraModel) -> int:
     """Return the number of noise terms that first-layer sums store per class.
 
-    These are the variance of each tap and, if the camera has row or column noise, the covariance of each pair of taps in the
-    same row and of each pair of taps in the same column.
+    There is one variance per tap. If the camera has row or column noise, there is also one covariance for each pair of taps
+    in the same row, and one for each pair of taps in the same column.
     """
     pairs_per_line = rule.patch * (rule.patch - 1) // 2
     return rule.patch**2 + (2 * rule.patch * pairs_per_line if camera.has_line_noise else 0)

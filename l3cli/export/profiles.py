@@ -36,9 +36,9 @@ BLACK_BODIES = (2200, 2500, 2856, 3200, 3600)  # colour temperatures (K) of blac
 DAYLIGHTS = (4500, 5000, 5500, 6500, 7500, 8600)  # colour temperatures (K) of daylight in the white-balance curve
 NOISE_LEVELS = 64  # a noise profile is fitted to this number of signals, from 1 DN (at 16 bits) to the white level
 MIN_COLOURS = 3  # colour matrices require at least this number of channels with different responsivities
-# The number of channels with different responsivities is the number of singular values of at least this fraction of the
-# largest one, after each channel is scaled to a sum of 1. If equal channels are measured with errors of 5 %, the smaller
-# singular values reach 0.03. For RCCG, the third singular value is 0.2.
+# To count the channels with different responsivities, each channel is scaled to a sum of 1. Singular values of at least this
+# fraction of the largest one are then counted. If equal channels are measured with errors of 5 %, the smaller singular
+# values reach 0.03 times the largest one. For RCCG, the third singular value is 0.2 times the largest one.
 DIFFERENT = 0.05
 RGB = ({"r", "red"}, {"g", "green"}, {"b", "blue"})  # names of red, green and blue channels
 SIGNAL_BITS = 16  # bit depth of the signals in tuning files

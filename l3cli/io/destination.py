@@ -82,7 +82,7 @@ class Destination:
 
     @property
     def lock(self) -> tuple[Path, str]:
-        """Folder and name of the lock that prevents other runs from writing here. Each shard has its own lock."""
+        """Folder and name of the lock that keeps other runs from writing to the destination. Each shard has its own."""
         folder, name = (self.path, "") if self.kind == "folder" else (self.path.parent, self.path.name)
         return folder, name + self._of_shard
 

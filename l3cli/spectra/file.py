@@ -203,9 +203,9 @@ def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurv
     If there are no digitised curves, both results are empty. Programs for digitising plots write several curves in one of
     two forms:
 
-    1. The curves are side by side, each with a column for X and a column for Y. The heading has either two lines, with the
-       names of the curves above X, Y, X, Y, …, or one line, in which each column for X is headed by a word for wavelength
-       and each column for Y by the name of the curve.
+    1. The curves are side by side, each with a column for X and a column for Y. If the heading has two lines, the names of
+       the curves are above X, Y, X, Y, …. If it has one line, each column for X has a word for wavelength as its heading,
+       and each column for Y the name of the curve.
     2. The curves follow one another, each with its own heading.
     """
     numeric = [_is_number(row[0], decimal_comma) for row in cells]

@@ -1,9 +1,9 @@
 """The `l3 design moments` and `l3 design` stages.
 
 `l3 design moments` simulates how a lens and the bare pixels of a sensor record scenes, and stores second moments of image
-patches, from which l3 can predict the error of any colour filter array. `l3 design` ranks all arrays that are possible with
-a library of filters by their predicted error. Optionally, it trains and evaluates tables for the best arrays to verify the
-predictions.
+patches. From these moments, l3 can predict the error of any colour filter array. `l3 design` ranks all arrays that are
+possible with a library of filters by their predicted error. Optionally, it trains and evaluates tables for the best arrays
+to verify the predictions.
 """
 
 import dataclasses

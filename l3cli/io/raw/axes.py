@@ -1,8 +1,8 @@
 """Determine which axes of an array are frames, rows and columns. Pictures with several channels are rejected.
 
-If the file contains axis names, they determine the order. Otherwise, the order is (frame, row, col), and arrays with a
-suspiciously short last axis are rejected: an axis with a length of at most 4 probably contains channels, and an axis that is
-much shorter than the other two probably contains frames.
+If the file contains axis names, they determine the order. Otherwise, the order is (frame, row, col). Arrays with a
+suspiciously short last axis are then rejected. If its length is at most 4, the axis probably contains channels. If it is
+much shorter than the other two axes, it probably contains frames.
 """
 
 import re

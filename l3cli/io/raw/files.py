@@ -1,11 +1,11 @@
 """Read raw files in all supported formats as RawFrame.
 
-To add a format, write a module in this folder, and add the format to FORMATS. The module must define the function `read`,
-and also `stack` if the entry in FORMATS sets `stackable`, `rate` if it sets `has_rate`, and `is_plain` if it sets
-`has_plain`. l3 imports the module when it reads the first file in this format.
+To add a format, write a module in this folder, and add the format to FORMATS. The module must define the function `read`.
+Three fields of the entry in FORMATS require further functions: `stackable` requires `stack`, `has_rate` requires `rate`, and
+`has_plain` requires `is_plain`. l3 imports the module when it reads the first file in this format.
 
 l3 reads the pixels, the levels, the crop and the orientation from the file, and the colour filter array from the table. If
-the file also contains a colour filter array, it must agree with the table's, and then determines the phase.
+the file also contains a colour filter array, it must be that of the table, and it determines the phase.
 """
 
 import importlib

@@ -68,8 +68,8 @@ def stack(path: Path) -> MultiFrameFile | None:
 def count_pages(path: Path) -> int:
     """Return the number of pages in a TIFF file, or 1 for a PNG file.
 
-    Raises InputFileError if the pages differ in size or type, for example because one of them is a thumbnail, if they are
-    the channels of a picture, or if the file contains images that are not pages.
+    Raises InputFileError if the pages differ in size or type, as they do if one of them is a thumbnail. Also raises it if
+    the pages are the channels of a picture, or if the file contains images that are not pages.
     """
     first = _page(path, 0).spec()
     usual, count = _kind(first), _count(path)

@@ -1,8 +1,9 @@
 """Scene file formats. The key `source` in a recipe and the file suffix determine which module reads a file.
 
 To add a format, write a module in this folder and add an entry to FORMATS. For a new source, also add its keys to
-simulation/sources.py. The module must define the functions `read` and `size`, and also `files` if the entry sets
-`has_files`, and `unknown` if it sets `names_unknown`. l3 imports the module when it reads the first scene in this format.
+simulation/sources.py. The module must define the functions `read` and `size`. If the entry sets `has_files`, the
+module must also define `files`. If it sets `names_unknown`, the module must define `unknown`. l3 imports the module when it
+reads the first scene in this format.
 """
 
 import importlib

@@ -81,9 +81,8 @@ def in_name(name: str) -> float | None:
 def of_names(names: Sequence[str]) -> list[float | None]:
     """Return the wavelength in nm in each name, or None for names without a wavelength.
 
-    If no name contains a wavelength with a unit, the last number in each name is assumed to be a wavelength in nm, provided
-    that there are at least two names, every name contains a number, all numbers are from 300 to 2600, and any two numbers
-    differ by at least 2.
+    If no name contains a wavelength with a unit, the last number in each name is assumed to be a wavelength in nm. This
+    requires at least two names, each with a number. The numbers must be from 300 to 2600 and differ by at least 2.
     """
     stated = [in_name(name) for name in names]
     if any(stated):
