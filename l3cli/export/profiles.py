@@ -266,9 +266,9 @@ def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target
     """Fit a Raspberry Pi's shading tables to a flat field.
 
     The ISP interpolates between the centres of the table's cells, and uses constant values from the outermost centres to the
-    edges of the frame. If the tables contained the gains at the centres, they would be inaccurate: for a lens that halves
-    the light in the corners, the error there would be 4 %. The tables are therefore smooth least-squares fits that take this
-    interpolation into account.
+    edges of the frame. Tables that simply contain the gains at the centres would be inaccurate. For a lens that halves the
+    light in the corners of the frame, the error in the corners would be 4 %. The tables are therefore smooth least-squares
+    fits that take this interpolation into account.
 
     Parameters
     ----------

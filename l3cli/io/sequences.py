@@ -156,8 +156,8 @@ def find_frames(
     Notes
     -----
     If each file contains one frame, the frame number is the last number in the file name. If a name contains no number, or
-    if two names contain the same number, the files are instead numbered from 0, as are the frames in a file with several
-    frames.
+    if two names contain the same number, the files are numbered from 0 instead. The frames in a file with several frames are
+    also numbered from 0.
     """
     plain = [path for path in inputs if is_one_file(path)]
     if len(plain) < len(inputs) and len(inputs) > 1:

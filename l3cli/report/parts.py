@@ -180,7 +180,7 @@ class Section:
 
 Array = NDArray[np.floating]
 Pixels = NDArray[np.uint8]
-# A JPEG encoder: a function of an 8-bit sRGB picture (row, col, 3) and a quality from 1 to 100 that returns a JPEG file.
+# A JPEG encoder takes an 8-bit sRGB picture (row, col, 3) and a quality from 1 to 100, and returns the bytes of a JPEG file.
 Jpeg = Callable[[Pixels, int], bytes]
 # (reduction factor, JPEG quality), from best to worst.
 JPEG_ATTEMPTS = (

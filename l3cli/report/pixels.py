@@ -97,8 +97,9 @@ def crop_of(
     """Choose the crop of a frame that contains the most classes, and encode it for the page.
 
     The crop has the first size in CROP_SIZES that fits `limit` after encoding. Up to `more` characters are used for classes
-    outside the crop: all other classes of the table if they fit, otherwise the other classes of the frame if they fit. These
-    classes are sorted by frequency in the frame. The remaining characters are used for their weights.
+    outside the crop. If all other classes of the table fit, they are included. Otherwise, the other classes of the frame are
+    included if they fit. These classes are sorted by frequency in the frame. The remaining characters are used for their
+    weights.
 
     Parameters
     ----------

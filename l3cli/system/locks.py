@@ -18,8 +18,8 @@ from l3cli.system.files import LOCK, blamed_on, initial_mode, open_quietly, refu
 class ThreadLock:
     """A lock between the threads of a process, which is always free at the start of a forked child process.
 
-    If another thread holds an ordinary lock during a fork, the lock is never released in the child, because this thread does
-    not exist there.
+    If another thread holds an ordinary lock during a fork, the lock is never released in the child, because the thread that
+    holds it does not exist in the child.
     """
 
     def __init__(self) -> None:

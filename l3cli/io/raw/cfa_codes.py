@@ -52,8 +52,8 @@ def codes_of(letters: str) -> NDArray[np.int64]:
 def channel_codes(channels: Sequence[str]) -> NDArray[np.uint8]:
     """Return a unique colour code for each channel, (channel,).
 
-    This is the TIFF/EP code for the channel name or, if there is none or if it is already used, a code that TIFF/EP does not
-    assign.
+    If TIFF/EP defines a code for the channel name, and no earlier channel has this code, the channel gets it. Otherwise the
+    channel gets a code that TIFF/EP does not assign.
     """
     codes: list[int] = []
     for index, name in enumerate(channels):
