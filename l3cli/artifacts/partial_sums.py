@@ -33,6 +33,7 @@ USUAL, OTHERS = "sums", "condition_sums"  # HDF5 groups with the sums for the ca
 class ClassSums:
     """First-layer sums over the weighted training patches of one canonical site.
 
+    A canonical site represents all CFA sites that are symmetric to it.
     The columns of the normal equations are the taps, the intercept and the outputs.
     """
 
@@ -119,6 +120,7 @@ class PartialSums(Artifact):
 class LayerSums:
     """Refinement-layer sums over the training samples of one canonical site.
 
+    A canonical site represents all CFA sites that are symmetric to it.
     The columns of the normal equations are the taps, the intercept, and the outputs converted to opponent planes.
     """
 

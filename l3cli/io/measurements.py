@@ -450,7 +450,7 @@ def _curve(recipe: MeasurementRecipe, folder: Path) -> SweepTable | FinishedCurv
 
 
 def _cameras(recipe: MeasurementRecipe, folder: Path) -> CurveStatistics | tuple[FinishedCurves, ...] | None:
-    """Return the prior for photos: a folder of measured responsivities, or the statistics of the built-in cameras.
+    """Return the prior for photos: responsivities from a folder, or the statistics of the built-in cameras.
 
     Returns None if the measurement file contains no photos.
     """

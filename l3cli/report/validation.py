@@ -164,7 +164,7 @@ def table_of(caption: str, heading: str, rows: dict[str, dict[str, float]]) -> T
 
 
 def _prediction_figures(camera: CameraModel, fit: Fit) -> list[Figure]:
-    """Plot the measured values and their residuals against the predicted values, unless no values were used."""
+    """Plot the measured values and their residuals against the predicted values. Without values, the list is empty."""
     assert fit.validation is not None
     measured, predicted = fit.validation.measured, fit.validation.predicted
     used = np.ones(measured.shape, bool) if fit.chart is not None or fit.series is None else fit.series.used
@@ -191,7 +191,7 @@ def _prediction_figures(camera: CameraModel, fit: Fit) -> list[Figure]:
 
 
 def _smoothing_figure(sweep: SweepFit) -> list[Figure]:
-    """Plot the cross-validated error against the smoothing δ, unless fewer than two values of δ were tried."""
+    """Plot the cross-validated error against the smoothing δ. The list is empty if fewer than two values were tried."""
     tried = sweep.smoothing > 0
     if tried.sum() < 2:
         return []

@@ -69,8 +69,8 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
     Returns
     -------
     callable
-        Function from a frame number in the clip to the scene as projected onto the sensor. If the scene does not move, the
-        result is the same for all frames.
+        Function that takes a frame number in the clip, and returns the scene as it is projected onto the sensor. If the
+        scene does not move, the result is the same for all frames.
 
     Raises
     ------
