@@ -35,7 +35,7 @@ NYQUIST = 0.5  # cycles/pixel
 
 
 def standard_blocks(standards: dict[str, Any], height: int) -> tuple[Block, ...]:
-    """Build the blocks with test-chart metrics from standards: plots of MTF and SNR, a table and an explanation.
+    """Build the blocks with the metrics that standards define on test charts: plots of MTF and SNR, a table, an explanation.
 
     Parameters
     ----------

@@ -78,7 +78,7 @@ class Mosaic:
     white_level: float  # DN
     exposure: float | None  # exposure time in s; None if unknown
     baseline_exposure: float  # EV
-    neutral: NDArray[np.float64] | None  # (colour, 2) CFA code and signal of a grey surface; None if unknown
+    neutral: NDArray[np.float64] | None  # (colour, 2) CFA code, and signal of a grey surface in this colour; None if unknown
     camera: list[str]  # make, model and other names of the camera
     shot: dict[str, str | float]  # fields of Shot
     opcodes: Opcodes
@@ -466,7 +466,10 @@ def _notes(raw: Any) -> Iterator[str]:
 
 
 def _neutral(first: Any, raw: Any) -> NDArray[np.float64] | None:
-    """Return each plane's colour code and signal of a grey surface, (plane, 2), or None if the tags are unusable."""
+    """Return the colour code of each plane and the signal of a grey surface in it, (plane, 2).
+
+    Returns None if the tags are unusable.
+    """
     try:
         codes = np.asarray(tags.numbers(raw, "CFAPlaneColor", (0, 1, 2)), np.float64)
     except tags.BROKEN:  # the pixels can be used without this tag

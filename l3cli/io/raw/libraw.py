@@ -98,10 +98,10 @@ def _visible(path: Path, raw: Any) -> RawContent:
 
 
 def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
-    """Return each colour's code and signal of a grey surface, (colour, 2), from the white-balance multipliers.
+    """Return the code of each colour, and the signal of a grey surface in it, (colour, 2).
 
-    The signal is the inverse of the multiplier. Returns None if there is only one colour, or if multipliers are missing, for
-    which LibRaw returns 0.
+    The signal is the inverse of the white-balance multiplier. Returns None if there is only one colour, or if multipliers
+    are missing, for which LibRaw returns 0.
     """
     multipliers = np.array(raw.camera_whitebalance[: len(letters)], np.float64)
     stated = {code: 1 / each for code, each in zip(codes_of(letters).tolist(), multipliers, strict=False) if each > 0}
