@@ -21,22 +21,22 @@ MAX_SHADING = 16.0  # largest gain of a flat field
 MAX_COLOUR_SHADING = 0.5  # largest relative difference between a channel's gain and the mean gain of all channels
 MIN_EXPOSURE = 1e-4  # shortest channel exposure time, as a fraction of the longest
 MAX_GAIN = 1e3  # largest channel gain, relative to the camera gain
-MAX_CHANNELS = 16  # largest number of channels; a saturation case is stored in 16 bits, one bit per channel
-MAX_CFA = 8  # largest width and height of the super-pixel, in pixels
-MAX_BITS = 16  # largest bit depth of raw values
+MAX_CHANNELS = 16  # maximum number of channels; a saturation case is stored in 16 bits, one bit per channel
+MAX_CFA = 8  # maximum width and height of the super-pixel, in pixels
+MAX_BITS = 16  # maximum bit depth of raw values
 ROUNDING = 1e-6  # rounding errors may push a quantum efficiency above 1 by this amount
-MAX_WAVELENGTHS = 10_000  # largest number of samples in a spectrum
+MAX_WAVELENGTHS = 10_000  # maximum number of samples in a spectrum
 QUANTISATION = 1 / 12  # DN²; variance of the error from rounding to whole DN
 # DN²; mean error variance of a dithered line offset, which is rounded up in some pixels and down in the others
 DITHER = 1 / 6
 # Without masked pixels, offsets are estimated from the picture (docs/method.md#offsets-from-the-picture).
-MIN_LINE_PIXELS = 64  # smallest number of pixels in a row or column whose offset is estimated
+MIN_LINE_PIXELS = 64  # minimum number of pixels in a row or column whose offset is estimated
 MAX_LINE_PIXELS = 2048  # longer lines are sampled, because more pixels hardly improve the estimate
 SMOOTHED_LINES = 33  # number of lines over which slow changes are averaged and attributed to the scene
 PICTURE_SIGNAL = 0.02  # fraction of full scale; signal of a dark picture, in which offsets are visible
 PICTURE_CHANGE = 0.008  # standard deviation of the change of a scene's mean from row to row, divided by the signal
 PICTURE_VOTES = 0.8  # usual fraction of a row's pixels that differ from the next row by no more than the noise allows
-MAX_MASKED = 4096  # largest number of masked rows or columns on each side of the sensor
+MAX_MASKED = 4096  # maximum number of masked rows or columns on each side of the sensor
 
 
 def sensitivity_threshold(read_noise: Any, gain: Any) -> Any:

@@ -56,7 +56,7 @@ class ChannelRecipe(Recipe):
     """
 
     like: str | None = None  # name of a channel with the same filter and therefore the same responsivity
-    # exposure time, as a fraction of the frame's exposure time, which is the longest exposure time of all channels
+    # exposure time, divided by the exposure time of the frame, which is the longest of all channels
     exposure: Annotated[float, msgspec.Meta(ge=MIN_EXPOSURE, le=1)] = 1.0
     # conversion gain, relative to sensor.gain_dn_per_e, which is the lowest conversion gain of all channels
     gain: Annotated[float, msgspec.Meta(ge=1, le=MAX_GAIN)] = 1.0
@@ -330,12 +330,12 @@ class MaskedRecipe(Recipe):
 
 
 def masked_recipe(masked: MaskedPixels | None) -> MaskedRecipe | None:
-    """Convert the masked pixels of a camera model to a section [masked]: the inverse of `masked_of`."""
+    """Return the section [masked] that describes the masked pixels of a camera model: the inverse of `masked_of`."""
     return None if masked is None else MaskedRecipe(*dataclasses.astuple(masked))
 
 
 def masked_of(recipe: MaskedRecipe | None) -> MaskedPixels | None:
-    """Convert a section [masked] to the masked pixels of a camera model. Returns None if there is no such section."""
+    """Return the masked pixels that the section [masked] describes, or None if there is no such section."""
     return None if recipe is None else MaskedPixels(**msgspec.structs.asdict(recipe))
 
 

@@ -116,7 +116,7 @@ class StoredFeatures:
 
 
 class ClassPlace(NamedTuple):
-    """The feature values of a class, as integers. For several classes, the values are integer arrays of equal shape."""
+    """The feature values that identify a class: integers, or integer arrays of equal shape for several classes."""
 
     site: Any  # CFA row · (number of CFA columns) + CFA column
     level: Any

@@ -1,6 +1,6 @@
 """Artifacts for the design of colour filter arrays: scene moments and designs.
 
-Scene moments contain statistics of scenes, and do not depend on the array. A design contains arrays and their
+Scene moments contain statistics of scenes, and do not depend on the CFA. A design contains CFAs and their
 predicted errors.
 """
 
@@ -95,7 +95,7 @@ class SceneMoments(Artifact):
 
 @dataclass(frozen=True)
 class Tuned:
-    """An array whose filters were optimised, with its predicted errors before and after this tuning."""
+    """A CFA whose filters were optimised, with its predicted errors before and after this tuning."""
 
     pattern: str = data("str", doc="the array, as rows of filter names")
     parameters: NDArray[np.float64] = data(
@@ -114,7 +114,7 @@ class Tuned:
     def words(self, levels: Sequence[str]) -> list[str]:
         """Describe the tuned filters in one line, followed by one line with the predicted errors for each light level.
 
-        The line for a level contains the error before tuning, the error after tuning, and the error of the best Bayer array
+        The line for a level contains the error before tuning, the error after tuning, and the error of the best Bayer CFA
         with the tuned filters.
         """
         rows = zip(self.tuned_filters, self.parameters, strict=True)
@@ -131,9 +131,9 @@ class Tuned:
 
 @dataclass(frozen=True)
 class Truth:
-    """Measured errors of arrays, to verify the predictions.
+    """Measured errors of CFAs, to verify the predictions.
 
-    The arrays were trained and then evaluated on the same scenes.
+    The CFAs were trained and then evaluated on the same scenes.
     """
 
     trained: tuple[str, ...] = data(
@@ -169,7 +169,7 @@ class Truth:
         return float(np.corrcoef(expected, measured)[0, 1])
 
     def in_order(self, level: int, figure: int = 0) -> float:
-        """Return the fraction of pairs of arrays that the prediction and the measurement rank in the same order.
+        """Return the fraction of pairs of CFAs that the prediction and the measurement rank in the same order.
 
         Pairs are ignored unless both their predicted errors and their measured errors differ by more than TIE. If no pair
         is left, the result is NaN.
@@ -180,7 +180,7 @@ class Truth:
         return float((expected * measured > 0)[differ].mean()) if differ.any() else float("nan")
 
     def table(self, levels: Sequence[str]) -> Rows:
-        """Return headings and rows of a table that compares the predicted and the measured errors of the trained arrays."""
+        """Return headings and rows of a table that compares the predicted and the measured errors of the trained CFAs."""
         headings = (*(f"{level}\n{what}" for level in levels for what in ("predicted", "ΔE00")), "array")
         both = np.stack([self.expected, self.measured[..., 0]], axis=-1).reshape(len(self.trained), -1)
         return headings, tuple(
@@ -188,7 +188,7 @@ class Truth:
         )
 
     def agreement(self, levels: Sequence[str]) -> list[str]:
-        """Describe, in one line per level, how well the predicted errors rank the arrays in each metric."""
+        """Describe, in one line per level, how well the predicted errors rank the CFAs in each metric."""
         if len(self.trained) == 1:
             return ["A single array cannot be ranked."]
         lines = []
@@ -203,7 +203,7 @@ class Truth:
         return lines
 
     def _logarithms(self, level: int, figure: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the logarithms of the predicted errors and the logarithms of the measured errors of all arrays."""
+        """Return the logarithms of the predicted errors and the logarithms of the measured errors of all CFAs."""
         measured = self.measured[:, level, figure]
         of_decibels = -measured * (np.log(10) / 20)
         return np.log(self.expected[:, level]), of_decibels if self.figures[figure].endswith("psnr") else np.log(measured)
@@ -216,7 +216,7 @@ def overall(errors: NDArray[np.floating]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, repr=False)
 class Design(Artifact):
-    """Colour filter arrays with filters from a library, and their predicted errors. The best array comes first."""
+    """Colour filter arrays with filters from a library, and their predicted errors. The best CFA comes first."""
 
     kind: ClassVar[str] = "design"
     made_by: ClassVar[str] = '"l3 design"'
@@ -253,7 +253,7 @@ class Design(Artifact):
     map_error: NDArray[np.float64] = data(
         "float64", "mapped", "dose", doc="predicted error of these arrays under the illuminant of the first level"
     )
-    pixel: CameraModel = group()  # camera model with the sensor, the noise and the lens; its filter array is not used
+    pixel: CameraModel = group()  # camera model with the sensor, the noise and the lens; its CFA is not used
     tuned: Tuned | None = group(default=None)
     truth: Truth | None = group(default=None)
 
@@ -268,31 +268,31 @@ class Design(Artifact):
 
     @property
     def predicted(self) -> NDArray[np.float64]:
-        """Predicted error of each array at each level, as the mean over all patches: (candidate, level)."""
+        """Predicted error of each CFA at each level, as the mean over all patches: (candidate, level)."""
         return np.asarray(np.einsum("clg,lg->cl", self.error, self.share))
 
     @property
     def score(self) -> NDArray[np.float64]:
-        """Predicted error of each array, as the geometric mean over the levels."""
+        """Predicted error of each CFA, as the geometric mean over the levels."""
         return overall(self.predicted)
 
     @property
     def winner(self) -> tuple[str, NDArray[np.float64]]:
-        """The best array, as rows of filter names, and the quantum efficiencies of all filters, (filter, wavelength).
+        """The best CFA, as rows of filter names, and the quantum efficiencies of all filters, (filter, wavelength).
 
-        This is the tuned array if there is one and its error is lower than the error of the first array.
+        This is the tuned CFA if there is one and its error is lower than the error of the first CFA.
         """
         if self.tuned is not None and overall(self.tuned.after) < self.score[0]:
             return self.tuned.pattern, self.tuned.tuned_efficiency
         return self.patterns[0], self.efficiency
 
     def best(self, most: int) -> list[int]:
-        """Return the indices of the first `most` arrays, followed by the index of the best Bayer array, if there is one."""
+        """Return the indices of the first `most` CFAs, followed by the index of the best Bayer CFA, if there is one."""
         return list(dict.fromkeys([*range(min(most, len(self.patterns))), *([self.bayer] if self.bayer >= 0 else [])]))
 
     @property
     def caption(self) -> str:
-        """Caption of the table of arrays."""
+        """Caption of the table of CFAs."""
         ties = f"=: at most {TIE:.0%} worse than the best array"
         return (
             f"predicted error ({self.unit}) of {self.tried} arrays; {ties}; changes are relative to the best Bayer array "
@@ -300,10 +300,10 @@ class Design(Artifact):
         )
 
     def table(self, most: int) -> Rows:
-        """Return headings and rows of a table of the first `most` arrays and the best Bayer array.
+        """Return headings and rows of a table of the first `most` CFAs and the best Bayer CFA.
 
-        The columns are the rank, the predicted errors, their changes relative to the best Bayer array with the same filters,
-        and the array. The mark "=" after a rank means that the array is at most TIE worse than the best array.
+        The columns are the rank, the predicted errors, their changes relative to the best Bayer CFA with the same filters,
+        and the CFA. The mark "=" after a rank means that the CFA is at most TIE worse than the best CFA.
         """
         headings = ("", *self.levels, *(f"{level}\nto Bayer" for level in self.levels), "array")
         rows = []
@@ -317,10 +317,10 @@ class Design(Artifact):
 
     @property
     def verdict(self) -> list[str]:
-        """One sentence per level about the best array at this level.
+        """One sentence per level about the best CFA at this level.
 
-        The sentence states how much lower the error of this array is than the error of the best Bayer array, and which
-        fraction of the difference is due to the filters of the array.
+        The sentence states how much lower the error of this CFA is than the error of the best Bayer CFA, and which
+        fraction of the difference is due to the filters of the CFA.
         """
         lines = []
         for place, (level, errors) in enumerate(zip(self.levels, self.predicted.T, strict=True)):
@@ -339,7 +339,7 @@ class Design(Artifact):
 
     @property
     def crossings(self) -> list[str]:
-        """Sentences with the exposures (cd s/m²) at which an array becomes better or worse than the best Bayer array."""
+        """Sentences with the exposures (cd s/m²) at which a CFA becomes better or worse than the best Bayer CFA."""
         lines: list[str] = []
         bayer = self.map_error[[self.mapped.index(self.patterns[self.bayer])]] if self.bayer >= 0 else self.map_error
         for name, over in zip(self.mapped, self.map_error / bayer - 1, strict=True):
@@ -351,12 +351,12 @@ class Design(Artifact):
         return lines
 
     def camera(self, pattern: str, efficiency: NDArray[np.float64]) -> CameraModel:
-        """Return a camera with the pixel of this design and a given filter array.
+        """Return a camera with the pixel of this design and a given CFA.
 
         Parameters
         ----------
         pattern : str
-            The array, as rows of filter names separated by "/".
+            The CFA, as rows of filter names separated by "/".
         efficiency : ndarray, (filter, wavelength)
             Quantum efficiencies of all filters of the design, in e-/photon.
         """
@@ -374,10 +374,10 @@ class Design(Artifact):
 
 
 def shown(cfa: NDArray[np.integer], names: Sequence[str]) -> str:
-    """Convert an array of filter indices to text: rows of filter names, separated by "/"."""
+    """Convert a CFA, (cfa_row, cfa_col) filter indices, to text: rows of filter names, separated by "/"."""
     return " / ".join(array_rows(names, cfa))
 
 
 def sites(pattern: str, names: Sequence[str]) -> NDArray[np.intp]:
-    """Convert text such as "g r / b g" to an array of filter indices. This is the inverse of `shown`."""
+    """Convert text such as "g r / b g" to filter indices, (cfa_row, cfa_col). This is the inverse of `shown`."""
     return np.array([[names.index(name) for name in row.split()] for row in pattern.split("/")])

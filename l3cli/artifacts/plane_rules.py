@@ -20,7 +20,7 @@ GRADIENT = 4095
 FACTORS, MAX_SHIFT = (64, 127), 24
 DIRECTIONS = 8  # number of edge directions within 180°
 MAX_LEAVES = 2048
-MAX_DEPTH = 24  # largest number of tests from the root to a leaf, which bounds the kernels' run time
+MAX_DEPTH = 24  # maximum number of tests from the root to a leaf, which bounds the kernels' run time
 TESTS = 23  # number of different tests that a tree can use
 ORIENTATIONS = 8  # orientations of a square: four rotations, with and without reflection
 # Range of the absolute values of nonzero thresholds. The lower limit is far above the denormal numbers (below 1.2e-38),
@@ -64,7 +64,7 @@ class GradientScale:
 
 
 class PlanePlace(NamedTuple):
-    """The feature values of a refinement-layer class, as integers. For several classes, the values are integer arrays."""
+    """The feature values that identify a class of a refinement layer: integers, or integer arrays for several classes."""
 
     site: Any  # CFA row · (number of CFA columns) + CFA column
     level: Any

@@ -379,7 +379,7 @@ def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
 
 
 def _line_noise_rows(noise: NoiseFit) -> list[tuple[str, Array]]:
-    """Return table rows for significant temporal row and column noise, which is the same for all channels."""
+    """Return table rows for significant temporal row and column noise, with the same value in the column of each channel."""
     found = {
         "row": (noise.row_temporal_noise, noise.row_temporal_noise_error),
         "column": (noise.column_temporal_noise, noise.column_temporal_noise_error),

@@ -1,6 +1,6 @@
-"""The section of a report about a CFA design: the conclusion, the best arrays, their filters and the predicted errors.
+"""The section of a report about a CFA design: the conclusion, the best CFAs, their filters and the predicted errors.
 
-The section shows the errors by exposure and by group of patches. If tables were trained for some of the arrays, the section
+The section shows the errors by exposure and by group of patches. If tables were trained for some of the CFAs, the section
 also contains their measured errors and crops of their pictures.
 """
 
@@ -14,9 +14,9 @@ from l3cli.report.camera import array_figure, responsivity_figures
 from l3cli.report.drawing import Plot, spanning
 from l3cli.report.parts import Figure, Figures, Gallery, Jpeg, Picture, Section, Subsection, Table, Text
 
-TABLE_ROWS, DRAWN_ARRAYS = 20, 5  # maximum number of arrays in the table, and maximum number of drawn arrays
+TABLE_ROWS, DRAWN_ARRAYS = 20, 5  # maximum number of CFAs in the table, and maximum number of drawn CFAs
 ENLARGEMENT = 4  # magnification of the crops
-MARKS = ("line", "dashed", "dotted", "line")  # line styles of successive arrays in plots
+MARKS = ("line", "dashed", "dotted", "line")  # line styles of successive CFAs in plots
 
 
 def design_section(design: Design, name: str, jpeg: Jpeg) -> Section:
@@ -25,7 +25,7 @@ def design_section(design: Design, name: str, jpeg: Jpeg) -> Section:
     Parameters
     ----------
     design : Design
-        The ranked arrays.
+        The ranked CFAs.
     name : str
         File name of the design.
     jpeg : callable
@@ -34,7 +34,7 @@ def design_section(design: Design, name: str, jpeg: Jpeg) -> Section:
     Returns
     -------
     Section
-        Section with an introduction that names the best array.
+        Section with an introduction that names the best CFA.
     """
     drawn = tuple(_figure(design, place) for place in design.best(DRAWN_ARRAYS))
     library = design.camera(" ".join(design.filters), design.efficiency)
@@ -54,7 +54,7 @@ def design_section(design: Design, name: str, jpeg: Jpeg) -> Section:
 
 
 def _figure(design: Design, place: int) -> Figure:
-    """Draw an array, with its rank as the title and its predicted errors as the caption."""
+    """Draw a CFA, with its rank as the title and its predicted errors as the caption."""
     drawn = array_figure(design.camera(design.patterns[place], design.efficiency))
     errors = ", ".join(f"{level} {error:.2f}" for level, error in zip(design.levels, design.predicted[place], strict=True))
     title = f"{place + 1}{' (Bayer)' if place == design.bayer else ''}"
@@ -62,7 +62,7 @@ def _figure(design: Design, place: int) -> Figure:
 
 
 def _sensitivity(design: Design) -> Table:
-    """Tabulate how much the best array's error changes if one of its filters is shifted by 5 nm."""
+    """Tabulate how much the best CFA's error changes if one of its filters is shifted by 5 nm."""
     used = design.patterns[0].split()
     changes = zip(design.filters, design.sensitivity, strict=True)
     rows = tuple((name, f"{100 * change:+.2f}") for name, change in changes if name in used)
@@ -70,7 +70,7 @@ def _sensitivity(design: Design) -> Table:
 
 
 def _over_light(design: Design) -> Figure:
-    """Plot the arrays' predicted errors against exposure, the luminance of white times the exposure time."""
+    """Plot the CFAs' predicted errors against exposure, the luminance of white times the exposure time."""
     plot = Plot(
         spanning("luminance of white × exposure time (cd s/m²)", design.dose, log=True),
         spanning(f"predicted error ({design.unit})", design.map_error, log=True),
@@ -81,12 +81,12 @@ def _over_light(design: Design) -> Figure:
 
 
 def _groups(design: Design) -> Table:
-    """Tabulate the predicted errors of the best array and the Bayer array by contrast, brightness and hue."""
+    """Tabulate the predicted errors of the best CFA and the Bayer CFA by contrast, brightness and hue."""
     places, rows = design.best(1), []
     for kind in itertools.chain(*KINDS):
         shares = design.share * [kind in group.split() for group in design.groups]
         if (share := shares.sum(axis=1)).any():  # (level)
-            errors = (design.error[places] * shares).sum(axis=2) / np.where(share > 0, share, np.nan)  # (array, level)
+            errors = (design.error[places] * shares).sum(axis=2) / np.where(share > 0, share, np.nan)  # (CFA, level)
             rows.append((kind, *(f"{each:.2f}" if np.isfinite(each) else "–" for each in errors.T.ravel())))
     headings = ("patches", *(f"{level}, {design.patterns[place]}" for level in design.levels for place in places))
     return Table(f"Predicted error ({design.unit}) by contrast, brightness and hue", headings, tuple(rows))
@@ -99,7 +99,7 @@ def _two_levels(truth: Truth) -> list[int]:
 
 
 def _pictures(design: Design, truth: Truth, level: int, jpeg: Jpeg) -> Gallery:
-    """Show crops at one light level: the ideal, the arrays with the lowest measured errors, and the Bayer array."""
+    """Show crops at one light level: the ideal, the CFAs with the lowest measured errors, and the Bayer CFA."""
     errors = truth.measured[:, level, 0]
     bayer = [truth.trained.index(design.patterns[design.bayer])] if design.bayer >= 0 else []
     crops = {"ideal": truth.ideals[level]}

@@ -127,7 +127,7 @@ class CurveTable:
         return CurveTable(self.path, self.wavelength, self.values[chosen], tuple(channels), units, tuple(left_out))
 
     def column(self, which: int | str) -> "CurveTable":
-        """Select a single column by its name, or by its number counted from 1.
+        """Select a single column by its name, or by its number. The first column has the number 1.
 
         Raises InputFileError if the name does not occur exactly once, or if the number is out of range.
         """

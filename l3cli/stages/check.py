@@ -467,8 +467,8 @@ def _written(key: KeyPath) -> str:
 def as_text(judgement: Judgement, width: int | None = None) -> list[str]:
     """Format the result of a check as lines of text.
 
-    Faults are printed as `file:line: message`, which editors recognise. Similar faults share a line. Without faults, the
-    lines summarise the recipe and end with its warnings. Tables are at most `width` characters wide.
+    Faults are printed as `file:line: message`, which editors recognise. Similar faults share a line. If there are
+    no faults, the lines contain a summary of the recipe, followed by warnings. Tables are at most `width` characters wide.
     """
     if judgement.findings:
         lines = [f"{judgement.path}:{line}: {message}" for line, message in folded(judgement.findings)]

@@ -222,7 +222,7 @@ def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], called
     called : list of str
         Names of all cameras on the page. Headings of cameras with the same name also contain the file names.
     limit : int
-        Largest size of each training set's pictures, in bytes.
+        Maximum size of each training set's pictures, in bytes.
     """
     sections = [camera_section(camera, figures_of_camera(camera), name) for name, camera in cameras]
     for number, (name, camera) in enumerate(cameras):
@@ -304,7 +304,7 @@ def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], options: Repor
     anchor : str
         Identifier of this pair, unique on the page.
     limits : (int, int, int)
-        Largest sizes in bytes of the pictures, the pixel viewer, and the filters of additional classes.
+        Maximum sizes in bytes of the pictures, the pixel viewer, and the filters of additional classes.
     options : ReportOptions
         Options of `l3 report`.
     console : Console

@@ -1,6 +1,7 @@
-"""Create ICC display profiles (version 4, matrix and tone curves, ICC.1:2022) for colour spaces.
+"""Create ICC display profiles for colour spaces.
 
-Equal colour spaces always result in identical bytes.
+The profiles have version 4 (ICC.1:2022), and consist of a matrix and tone curves. Two calls with the same colour space
+return identical bytes.
 """
 
 import functools

@@ -137,7 +137,7 @@ def _count(path: Path) -> int:
     """Count the pages in a TIFF file.
 
     Libraries treat a broken chain of pages as the end of the file, so this function also checks that the offset after the
-    last page is zero. Raises InputFileError if the chain is broken, or if a page has subpages other than smaller copies.
+    last page is zero. Raises InputFileError if the chain is broken, or if a page has subpages that are not smaller copies.
     """
     import tifffile
 

@@ -299,7 +299,7 @@ def _data(path: Path) -> Path:
 
 
 def _whole_data(path: Path, layout: Layout) -> Path:
-    """Return the data file of a header. Raises InputFileError if the data file is missing or too short."""
+    """Return the data file that belongs to a header. Raises InputFileError if it is missing or too short."""
     data = _data(path)
     size = data.stat().st_size
     if size < layout.end:
@@ -308,7 +308,7 @@ def _whole_data(path: Path, layout: Layout) -> Path:
 
 
 def _layout(header: Header) -> Layout:
-    """Return the layout of the data file. Raises InputFileError if a field is missing, invalid or unsupported."""
+    """Return the layout that a header describes. Raises InputFileError if a field is missing, invalid or unsupported."""
     sizes = {name: header.whole(name, 1) for name in ("lines", "samples", "bands")}
     kind = " ".join(header.text("file type").split())
     if kind.lower() not in STANDARD:

@@ -30,7 +30,7 @@ from l3cli.system.files import FULL, STDIN, FilesUsed, dated, refuse_existing, r
 from l3cli.system.outputs import OutputGuard, refuse_unwritable
 
 RENDERED, KEPT, FAILED = "rendered", "kept", "failed"  # outcome of a clip; "kept": finished by an earlier run
-MAX_WARNINGS = 1000  # largest number of warnings in the report of a clip
+MAX_WARNINGS = 1000  # maximum number of warnings in the report of a clip
 
 
 def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output: Path) -> tuple[Path, ...]:

@@ -27,7 +27,7 @@ from l3cli.stages.rendering.reading import FrameReader, FrameTask, last_read
 from l3cli.stages.rendering.reports import Tally, WhiteReport, report_times
 from l3cli.stages.rendering.uncertainty import write_uncertainty
 
-QUEUE_FRAMES = 3  # largest number of frames in the queue between two steps
+QUEUE_FRAMES = 3  # maximum number of frames in the queue between two steps
 
 
 def run(job: Job, look: Look, renderers: Renderers) -> Tally:

@@ -1,4 +1,7 @@
-"""The `l3 train` stage, which trains a transform table in one run, or in shards with partial sums that are then merged."""
+"""The `l3 train` stage, which trains a transform table.
+
+A table is trained in one run, or in shards. The partial sums of all shards are then merged.
+"""
 
 import contextlib
 import itertools
