@@ -244,7 +244,7 @@ def noise_profile(camera: CameraModel) -> tuple[float, float]:
     Returns
     -------
     constant : float
-        Standard deviation without signal, at least 0.
+        Standard deviation without signal. If the fit were negative, this is 0, and only the slope is fitted.
     slope : float
         Increase of the standard deviation with √signal.
     """
