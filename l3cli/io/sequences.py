@@ -1,7 +1,7 @@
 """Find the raw frames in an input, or the rendered pictures of a sequence that is to be evaluated.
 
 An input is a folder, a numbered pattern, a glob, a file with one or several frames, a video, or a headerless stream on
-stdin. Frames are first only listed. Each frame is read when it is needed.
+stdin. The frames are listed first. Each frame is read when it is needed.
 """
 
 import contextlib

@@ -180,8 +180,8 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
 def _masked_values(mosaic: Mosaic, stored: NDArray[np.uint16]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the masked pixels to the left and right of the default crop, and above and below it.
 
-    Only areas that extend over all rows or all columns of the crop are used. The file's black levels are subtracted, as they
-    are from the frame. Their repeating pattern is continued outside the active area.
+    Only areas that extend over all rows or all columns of the crop are used. The file's black levels are subtracted from the
+    masked pixels, as from the frame. Outside the active area, the repeating pattern of black levels is continued.
 
     Returns
     -------
