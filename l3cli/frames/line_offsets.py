@@ -3,12 +3,13 @@
 The following description is for rows. Columns are corrected in the same way, after the rows.
 
 1. *Differences.* For each pair of rows that are one row, or one CFA period, apart, l3 computes the mean difference between
-   pixels of the same channel. A pixel difference *votes* (enters the mean) only if noise can explain it. Differences at
-   edges, clipped pixels and hot pixels do not vote.
+   pixels of the same channel. A pixel difference *votes* (enters the mean) only if noise can explain it and no edge is close
+   to it in the same column. Differences at edges, clipped pixels and hot pixels do not vote.
 2. *Variance.* The frame is divided into blocks of columns. A row has the same offset in all blocks, so the variance between
    the blocks, beyond the noise of the pixels, is due to the scene. It increases the variance of the mean difference.
 3. *Rejection.* Pairs of rows with few votes are left out. Pairs with a mean difference that is too large for row offsets,
-   such as the two rows at a horizon, are also left out.
+   such as the two rows at a horizon, are also left out, together with the pairs directly above and below. Lenses blur edges,
+   so the scene also changes there.
 4. *Offsets.* The most probable offsets are computed from the differences. Their prior distribution has the mean 0 and the
    variance of the camera's row noise. A slow trend of the differences, as in a sky, is attributed to the scene.
 5. *Limits.* The local mean of the offsets is subtracted, because it cannot be distinguished from the scene. If neighbouring
@@ -32,8 +33,12 @@ MAX_COLUMN_DISTANCE = 2  # largest distance, in columns, between two pixels of t
 # A pixel difference votes if it is at most this many standard deviations. The standard deviation includes pixel noise and
 # row offsets.
 VOTE = 3.0
+# Lenses blur edges. A pixel difference does not vote if an edge starts up to EDGE_ABOVE rows above its upper pixel, or up to
+# EDGE_BELOW rows below.
+EDGE_ABOVE, EDGE_BELOW = 2, 1
 FLAT = 4.0  # two pixels are averaged only if their difference is at most this many standard deviations of the pixel noise
-MIN_VOTES = 0.5  # a pair of lines is left out if a smaller fraction of its unclipped pixels votes
+# A pair of lines is left out if noise can explain the differences of a smaller fraction of its unclipped pixels.
+MIN_VOTES = 0.5
 # The variance between blocks counts several times, because neighbouring blocks often contain the same object.
 BLOCK_CORRELATION = 3.0
 POOLED_PAIRS = 4  # number of pairs before and after a pair that contribute to its variance between blocks
@@ -145,7 +150,8 @@ def line_offsets(mosaic: _Mosaic, variance: float) -> Floats:
     if cols < MIN_LINE_PIXELS:
         return np.zeros(rows)
     period = len(mosaic.cfa)
-    found = [_differences(mosaic, lag, variance) for lag in sorted({1, period}) if lag < rows]
+    edges = _near_edges(mosaic, variance)
+    found = [_differences(mosaic, edges, lag, variance) for lag in sorted({1, period}) if lag < rows]
     if not any(each.weight.any() for each in found):
         return np.zeros(rows)
     trends = [np.zeros(len(each.mean)) for each in found]
@@ -159,28 +165,58 @@ def line_offsets(mosaic: _Mosaic, variance: float) -> Floats:
     return np.asarray(np.clip(offset * np.clip(plausible, 0.0, 1.0), -limit, limit))
 
 
-def _differences(mosaic: _Mosaic, lag: int, variance: float) -> _Differences:
+def _near_edges(mosaic: _Mosaic, variance: float) -> NDArray[np.bool_]:
+    """Return whether each pixel is close to an edge in its column, (row, col).
+
+    An edge starts at a pixel if the pixel one CFA period below differs by more than the noise can explain.
+    """
+    electrons, period = mosaic.electrons, len(mosaic.cfa)
+    rows, cols = electrons.shape
+    starts, near = np.zeros((2, rows, cols), bool)
+    for phase in range(min(period, rows - period)):
+        fixed = mosaic.fixed[np.resize(mosaic.cfa[phase], cols)].astype(np.float32)
+        difference, noise = _compare(
+            electrons[phase : rows - period : period], electrons[phase + period :: period], fixed, mosaic.uneven
+        )
+        starts[phase : rows - period : period] = difference**2 > np.float32(2 * VOTE**2) * (noise + np.float32(variance))
+    for distance in range(-EDGE_BELOW, EDGE_ABOVE + 1):
+        first, last = max(distance, 0), rows + min(distance, 0)
+        near[first:last] |= starts[first - distance : last - distance]
+    return near
+
+
+def _compare(upper: Pixels, lower: Pixels, fixed: Pixels | np.float32, uneven: float) -> tuple[Pixels, Pixels]:
+    """Return the differences lower − upper in e-, and the noise variance of one pixel in (e-)² at their mean signal."""
+    signal = np.maximum(lower + upper, 0) * np.float32(0.5)
+    return lower - upper, fixed + signal * (1 + np.float32(uneven) * signal)
+
+
+def _differences(mosaic: _Mosaic, edges: NDArray[np.bool_], lag: int, variance: float) -> _Differences:
     """Compare the rows of a mosaic with the rows `lag` further down."""
-    votes = _count_votes(mosaic, lag, variance)
+    votes = _count_votes(mosaic, edges, lag, variance)
     mean, error = _mean_of_blocks(votes.weight, votes.weighted)
     enough = (votes.share >= MIN_VOTES) & (error > 0)
     level = mean - _weighted_local_mean(mean, enough.astype(np.float64))
-    kept = enough & (np.abs(level) <= MAX_DIFFERENCE * np.sqrt(variance + np.minimum(error / 2, variance)))
+    usual = enough & (np.abs(level) <= MAX_DIFFERENCE * np.sqrt(variance + np.minimum(error / 2, variance)))
+    kept = _window_sum(~usual, 1) < 0.5
     return _Differences(lag, mean, np.where(kept, 1 / np.where(kept, error, 1.0), 0.0))
 
 
 class _Votes(NamedTuple):
     weight: Floats  # (pair, block) sum of the votes' weights, 1/(e-)²
     weighted: Floats  # (pair, block) sum of the votes' weighted differences, 1/e-
-    share: Floats  # (pair) fraction of the unclipped pixels that vote
+    share: Floats  # (pair) fraction of the unclipped pixels whose difference the noise can explain
 
 
-def _count_votes(mosaic: _Mosaic, lag: int, variance: float) -> _Votes:
-    """Sum the differences that the noise can explain, weighted by the inverse of their variance."""
+def _count_votes(mosaic: _Mosaic, edges: NDArray[np.bool_], lag: int, variance: float) -> _Votes:
+    """Sum the differences that the noise can explain, weighted by the inverse of their variance.
+
+    Pixels close to `edges` (row, col) do not vote.
+    """
     electrons, (period, across) = mosaic.electrons, mosaic.cfa.shape
     rows, cols = electrons.shape
     blocks = min(BLOCKS, cols // MIN_BLOCK_COLUMNS)
-    edges = np.arange(blocks) * cols // blocks
+    block_starts = np.arange(blocks) * cols // blocks
     step = across * -(-cols // MAX_LINE_PIXELS)
     weight, weighted = np.zeros((2, rows - lag, blocks))
     votes, unclipped = np.zeros((2, rows - lag))
@@ -193,24 +229,23 @@ def _count_votes(mosaic: _Mosaic, lag: int, variance: float) -> _Votes:
             upper = upper_rows[:, first : cols - distance : step]
             lower, flat = lower_rows[:, first - distance : cols - 2 * distance : step], None
             terms = 2.0
-            signal_variance = np.float32(mosaic.fixed[mosaic.cfa[row, col]])
+            fixed = np.float32(mosaic.fixed[mosaic.cfa[row, col]])
             if distance:
                 right = lower_rows[:, first + distance : cols : step]
                 flat, lower, terms = right - lower, (lower + right) * np.float32(0.5), 1.5
-            difference = lower - upper
-            signal = np.maximum(lower + upper, 0) * np.float32(0.5)
-            noise = signal_variance + signal * (1 + np.float32(mosaic.uneven) * signal)
+            difference, noise = _compare(upper, lower, fixed, mosaic.uneven)
             accepted = difference**2 <= np.float32(VOTE**2) * (np.float32(terms) * noise + np.float32(2 * variance))
             if flat is not None:
                 accepted &= flat**2 <= np.float32(2 * FLAT**2) * noise
+            votes[pairs] += accepted.sum(axis=1)
+            unclipped[pairs] += np.isfinite(difference).sum(axis=1)
+            accepted &= ~edges[pairs][:, first : cols - distance : step]
             each = np.where(accepted, 1 / (np.float32(terms) * noise), np.float32(0))
-            starts = np.searchsorted(place, edges)
+            starts = np.searchsorted(place, block_starts)
             weight[pairs] += np.add.reduceat(each, starts, axis=1, dtype=np.float64)
             weighted[pairs] += np.add.reduceat(
                 np.where(accepted, each * difference, np.float32(0)), starts, axis=1, dtype=np.float64
             )
-            votes[pairs] += accepted.sum(axis=1)
-            unclipped[pairs] += np.isfinite(difference).sum(axis=1)
     return _Votes(weight, weighted, votes / np.maximum(unclipped, 1))
 
 
