@@ -100,7 +100,8 @@ __kernel void evidence(__global const ushort *restrict raw, __global const ushor
 // initially contains the noise fractions of the history, which the weights overwrite.
 __kernel void weigh(__global const uint *restrict powers, __global const int *restrict sums,
                     __global const uint *restrict variances, __global ushort *restrict weights,
-                    __global ushort *restrict new_left, __global int *restrict cuts, int block_columns) {
+                    __global ushort *restrict new_left, __global int *restrict cuts, int shared_in_cells,
+                    int shared_nearby, int block_columns) {
     const int block_row = get_global_id(1), begin = get_global_id(0) * STRIP, last = min(begin + STRIP, block_columns);
     const int cell_columns = block_columns * CELL_ACROSS, count = (last - begin) * CELL_ACROSS;
     const int length = cell_row_length(cell_columns);
@@ -122,12 +123,13 @@ __kernel void weigh(__global const uint *restrict powers, __global const int *re
             const cell_ints within = WITHIN(count - i);
             others -= TRUE_CELLS(power > variance * CUT) & within;
             power = power * POWER_FACTOR - variance * POWER_FREE;
-            mean -= variance * MEAN_FREE;
-            wide -= variance * WIDE_FREE;
+            const cell_ints left = CONVERT(READ_CELLS(cell_shorts, weights + place), cell_ints);
+            const wholes noisy = CONVERT(left + ONE, wholes);
+            mean -= (variance + noisy * shared_in_cells) * MEAN_FREE;
+            wide -= (variance + noisy * shared_nearby) * WIDE_FREE;
             wholes beyond = (power > zero ? power : zero) + (mean > zero ? mean : zero) + (wide > zero ? wide : zero);
             beyond = beyond < most ? beyond : most;
-            const cell_ints left = CONVERT(READ_CELLS(cell_shorts, weights + place), cell_ints);
-            const wholes whole = variance * CONVERT(left + ONE, wholes) + beyond * ONE;
+            const wholes whole = variance * noisy + beyond * ONE;
             const cell_ints rest = FLOOR(variance * (ONE * ONE) / whole), least = ONE - LEAST_WEIGHT;
             const cell_ints of_before = rest < least ? rest : least, weight = ONE - of_before, one = ONE;
             const cell_ints remains = (of_before * of_before * left + weight * weight * ONE) / (ONE * ONE) + 1;

@@ -9,9 +9,12 @@ import pytest
 from l3cli.api import raw_frame
 from l3cli.artifacts.camera import CameraModel, Readout, variance_left_by_picture
 from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.line_offsets import without_picture_offsets
 from l3cli.io.frames import FrameFiles
+from l3cli.rendering.temporal.noise import ONE, require_noise
+from l3cli.rendering.temporal.reference import ReferenceFilter
 from l3cli.simulation.sensor import expose
 from tests.helpers.paths import CONFIGS
 from tests.helpers.raw_files import read_in_every_way
@@ -220,6 +223,38 @@ def test_training_frames_have_the_noise_of_corrected_frames() -> None:
     assert again.corrected_noise() is again.noise
     assert again.line_variances() == camera.line_variances()
     assert again.noise_terms() == camera.noise_terms()
+
+
+@pytest.mark.parametrize(("ratio", "signal"), [(0.0, 120.0), (1.0, 0.0), (1.0, 120.0), (2.0, 0.0), (2.0, 120.0)])
+def test_the_temporal_filter_averages_the_remaining_row_noise(ratio: float, signal: float) -> None:
+    """In a static scene, hardly more noise remains than without row noise, as the filter predicts. Motion is still found."""
+    camera = dataclasses.replace(camera_of("bayer", ratio), rows=160, cols=512)
+    require_noise(camera)
+    light = signal * np.random.default_rng(3).uniform(0.5, 1.5, (8, 26)).repeat(20, 0).repeat(20, 1)[:, :512]
+    filtered, before, after = ReferenceFilter(camera.cfa.shape, camera), [], []
+    for number in range(10):
+        values = corrected(camera, taken(camera, light, seed=number)[1])
+        frame = RawFrame("frame", values.astype(np.uint16), camera.black_level, camera.white_level)
+        made = filtered.filtered(frame).values
+        if number >= 7:
+            error = [each - light * camera.gain - camera.black_level for each in (values, made)]
+            before.append(np.mean(error[0] ** 2))
+            after.append(np.mean(error[1] ** 2))
+    assert filtered.history is not None
+    predicted, left = filtered.history.left.mean() / ONE, np.mean(after) / np.mean(before)
+    assert predicted < 0.165
+    assert left == pytest.approx(
+        predicted + 1 / 12 / np.mean(before), abs=0.05
+    )  # the filtered values are rounded to whole DN
+    moved = taken(camera, np.roll(light, 1, axis=1) + 40.0, seed=20)[1]
+    filtered.filtered(RawFrame("frame", corrected(camera, moved).astype(np.uint16), camera.black_level, camera.white_level))
+    assert filtered.history.left.mean() / ONE > 0.6
+
+
+def test_the_temporal_filter_requires_that_most_of_the_row_noise_is_removed() -> None:
+    narrow = dataclasses.replace(camera_of("bayer", 1.0), cols=48)
+    with pytest.raises(RecipeError, match="row and column noise"):
+        require_noise(narrow)
 
 
 def test_every_way_to_read_gives_the_same_frame(tmp_path: Path) -> None:

@@ -12,9 +12,9 @@ from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.temporal import chunks
 from l3cli.rendering.temporal.chunks import CHUNK, LEAD, AnyOrder, Chunks, chunks_of, needed
-from l3cli.rendering.temporal.noise import Grid
+from l3cli.rendering.temporal.noise import ONE, Grid
 from l3cli.rendering.temporal.opencl import opencl_filters
-from l3cli.rendering.temporal.reference import LEAST_WEIGHT, ONE, ReferenceFilter
+from l3cli.rendering.temporal.reference import LEAST_WEIGHT, ReferenceFilter
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS, random_camera
 
 BLACK = 64.0
@@ -34,16 +34,17 @@ def exposed(rng: np.random.Generator, light: NDArray[np.float64], gain: float, b
 
 
 @pytest.mark.parametrize(
-    ("cfa", "bits", "variant"),
+    ("cfa", "bits", "variant", "row_noise"),
     [
-        (BAYER, 12, "graphics"),
-        pytest.param(FIVE_BAND, 10, "processor", marks=pytest.mark.soak),
-        (X_TRANS, 16, "processor"),
-        (np.arange(10).reshape(2, 5), 12, "processor"),
+        (BAYER, 12, "graphics", 4.0),
+        pytest.param(FIVE_BAND, 10, "processor", 0.0, marks=pytest.mark.soak),
+        (X_TRANS, 16, "processor", 0.0),
+        (np.arange(10).reshape(2, 5), 12, "processor", 4.0),
     ],
 )
-def test_kernels_agree_with_the_reference_on_every_value(cfa: ArrayLike, bits: int, variant: str) -> None:
+def test_kernels_agree_with_the_reference_on_every_value(cfa: ArrayLike, bits: int, variant: str, row_noise: float) -> None:
     camera = random_camera(cfa, int(np.max(cfa)) + 1, bits, BLACK)
+    camera = replace(camera, noise=replace(camera.noise, row_temporal_noise=row_noise), lines_corrected=True)
     rng, reference = np.random.default_rng(3), ReferenceFilter(camera.cfa.shape, camera)
     kernels = opencl_filters(camera.cfa.shape, camera, variant=variant)()
     light = landscape(rng, 150, 170)

@@ -10,22 +10,24 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera import SMOOTHED_LINES, CameraModel
 from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame
 
 MIN_CELL, MIN_BLOCK = 4, 16  # smallest sides of a cell and a block, in pixels
 LANES = 8  # kernels process this number of pixels in parallel, so the width of a block is a multiple of it
 DEEP = 16  # bits per value
+ONE = 1 << 10  # fixed-point representation of 1, for weights and noise fractions
+MAX_SHARED = (1 << 31) - 1  # limit of `shared_in_cells` and `shared_nearby`, so that kernels need only 32 bits
 LINEAR_FRACTION = 8  # fractional bits of the linear noise term
 UNEVEN_FRACTION = 24  # fractional bits of the quadratic noise term
 NOISE_FRACTIONS = (1.0, 0.5, 0.25)  # possible noise fractions of a filtered frame
 MAX_UNEVEN = 1 << 20  # limit of the quadratic term, where the fixed pattern is a quarter of the signal
 MAX_FIXED = 1 << 28  # limit of the constant fixed-pattern term, where the fixed pattern is a quarter of the range
 ROW_PERIODS_PER_READ = 8  # a frame's mean level is computed from every eighth row of CFA periods
-# Largest variance of row and column noise, relative to the pixel noise variance. At this limit, 5 % more noise remains in a
-# static scene.
-MAX_LINES = 1 / 16
+# Largest variance of row and column noise, relative to the pixel noise variance. At this limit, up to twice the noise
+# remains in a static scene.
+MAX_LINES = 1 / 3
 TABULATED_LEVELS = 256  # number of levels at which the noise of frame differences is tabulated
 
 
@@ -119,11 +121,15 @@ class NoiseTerms:
     constant: int
     fixed: int
     uneven: int
+    # Variances that the offsets of rows and columns add to the squared residual sums of cells and of 3 × 3 cells, in ONE u².
+    # All pixels of a row have the same offset, so these variances are larger than for independent noise.
+    shared_in_cells: int
+    shared_nearby: int
     # (level) standard deviation, in u, of the difference of two frames that are averaged over the CFA period
     spread: NDArray[np.int32]
 
 
-def noise_of(camera: CameraModel, black_level: float, white_level: float, sites: int) -> NoiseTerms:
+def noise_of(camera: CameraModel, black_level: float, white_level: float, grid: Grid) -> NoiseTerms:
     """Convert a camera's noise model to integers for frames with the given levels.
 
     Parameters
@@ -132,8 +138,8 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, sites:
         Camera that took the frames.
     black_level, white_level : float
         Black and white levels of the frames, in DN.
-    sites : int
-        Number of pixels in a CFA period.
+    grid : Grid
+        Cells of the frames.
 
     Returns
     -------
@@ -146,6 +152,9 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, sites:
     black = round(black_level * 2**protect)
     signal = np.maximum((np.arange(TABULATED_LEVELS) + 0.5) * 2 ** (DEEP - 8) - black, 0.0)
     variance = (constant - fixed) * unit**2 + linear * unit * signal
+    in_cells, nearby = (
+        min(round(each * (camera.gain * unit) ** 2 / ONE), MAX_SHARED) for each in _shared_variances(camera, grid)
+    )
     return NoiseTerms(
         protect=protect,
         black=black,
@@ -154,8 +163,29 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, sites:
         constant=max(1, round((constant - fixed) * unit**2)),
         fixed=min(round(fixed * unit**2), MAX_FIXED),
         uneven=min(round(uneven * 2**UNEVEN_FRACTION), MAX_UNEVEN),
-        spread=np.maximum(np.rint(np.sqrt(2 * variance / sites)), 1).astype(np.int32),
+        shared_in_cells=in_cells,
+        shared_nearby=nearby,
+        spread=np.maximum(np.rint(np.sqrt(2 * variance / (grid.period[0] * grid.period[1]))), 1).astype(np.int32),
     )
+
+
+def _shared_variances(camera: CameraModel, grid: Grid) -> tuple[float, float]:
+    """Return the variances that shared offsets add to the squared sums of 9 cells, and to the squared sum of 3 × 3 cells.
+
+    The variances are in (e-)², in addition to the variance of independent noise in all pixels. After a correction with the
+    picture itself, the slow part of the offsets remains, which is the same in all rows of the cells.
+    """
+    corrected, noise = camera.corrected_noise(), camera.noise
+    rows = corrected.row_temporal_noise**2, noise.row_temporal_noise**2, 0
+    columns = corrected.column_temporal_noise**2, noise.column_temporal_noise**2, 1
+    found = np.zeros(2)
+    for left, before, axis in (rows, columns):
+        slow = min(left, before / SMOOTHED_LINES) if camera.masked is None else 0.0
+        for index, cells in enumerate((1, 3)):
+            lines, pixels = cells * grid.cell[axis], cells * grid.cell[1 - axis]
+            shared = (left - slow) * lines * pixels**2 + slow * (lines * pixels) ** 2 - left * lines * pixels
+            found[index] += shared * (3 / cells) ** 2
+    return float(found[0]), float(found[1])
 
 
 def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
@@ -213,8 +243,8 @@ def times_brighter(now: tuple[float, float | None], before: tuple[float, float |
 def require_noise(camera: CameraModel | None) -> CameraModel:
     """Return a table's camera, or raise a RecipeError if the temporal filter cannot be used with it.
 
-    The table must contain its camera. The camera must not have strong row or column noise, because such noise does not
-    average out in the filter's sums over cells. Noise that is removed with masked pixels is not counted.
+    The table must contain its camera. The camera must not have strong row or column noise, because the filter could not
+    distinguish such noise from motion. Noise that is removed before the filter is not counted.
     """
     if camera is None:
         raise RecipeError(
@@ -222,7 +252,7 @@ def require_noise(camera: CameraModel | None) -> CameraModel:
         )
     if camera.corrected_noise().lines > MAX_LINES * camera.pixel_variance():
         raise RecipeError(
-            "‹temporal› would mistake the camera's row and column noise for motion, because it exceeds a quarter of the "
-            "pixel noise; remove ‹temporal›, or use frames with masked pixels"
+            "‹temporal› would mistake the camera's row and column noise for motion, because after the correction of offsets "
+            f"it exceeds {MAX_LINES**0.5:.2g} of the pixel noise; remove ‹temporal›, or use frames with masked pixels"
         )
     return camera

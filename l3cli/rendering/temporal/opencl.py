@@ -19,6 +19,7 @@ from l3cli.rendering.opencl.work import Work, shares_memory
 from l3cli.rendering.temporal import motion, reference
 from l3cli.rendering.temporal.noise import (
     LINEAR_FRACTION,
+    ONE,
     UNEVEN_FRACTION,
     Grid,
     NoiseTerms,
@@ -111,7 +112,7 @@ def _macros(period: tuple[int, ...]) -> layout.Macros:
         "BLOCK_ROWS": grid.block[0],
         "BLOCK_COLUMNS": grid.block[1],
         "PLANES": grid.planes,
-        "SHARE_BITS": reference.ONE.bit_length() - 1,
+        "SHARE_BITS": ONE.bit_length() - 1,
         "LINEAR_FRACTION": LINEAR_FRACTION,
         "UNEVEN_FRACTION": UNEVEN_FRACTION,
         "MARGIN": MARGIN_PIXELS,
@@ -197,9 +198,9 @@ class OpenCLFilter:
             for pair in (buffers.history, buffers.left):
                 pair.reverse()
             rows, cols = frame.values.shape
-            left = int(buffers.host_left.sum(dtype=np.int64)) / (int(np.prod(grid.cells)) * reference.ONE)
+            left = int(buffers.host_left.sum(dtype=np.int64)) / (int(np.prod(grid.cells)) * ONE)
             share = share_left(self._camera.at_gain(frame.gain), frame, left)
-            of_cells = NoiseLeft(buffers.host_left[1:-1, PADDING_COLUMNS:-PADDING_COLUMNS].copy(), reference.ONE, grid.cell)
+            of_cells = NoiseLeft(buffers.host_left[1:-1, PADDING_COLUMNS:-PADDING_COLUMNS].copy(), ONE, grid.cell)
             return replace(frame, values=made[:rows, :cols], noise_share=share, noise_left=of_cells)
 
     def history(self) -> NDArray[np.uint16]:
@@ -209,8 +210,7 @@ class OpenCLFilter:
         return values
 
     def _noise_of(self, frame: RawFrame) -> NoiseTerms:
-        sites = self._grid.period[0] * self._grid.period[1]
-        return noise_of(self._camera.at_gain(frame.gain), frame.black_level, frame.white_level, sites)
+        return noise_of(self._camera.at_gain(frame.gain), frame.black_level, frame.white_level, self._grid)
 
     def _rescale(self, frame: RawFrame) -> None:
         """Convert the filter state to a new gain or exposure time. This is rare and therefore done on the host."""
@@ -263,7 +263,10 @@ class OpenCLFilter:
             "evidence", *grid.blocks, raw, buffers.history[0], vectors, buffers.left[0], *buffers.found, buffers.weights,
             *terms, grid.blocks[1],
         )  # fmt: skip
-        device.run("weigh", *grid.blocks, *buffers.found, buffers.weights, buffers.left[1], buffers.cuts, grid.blocks[1])
+        device.run(
+            "weigh", *grid.blocks, *buffers.found, buffers.weights, buffers.left[1], buffers.cuts, noise.shared_in_cells,
+            noise.shared_nearby, grid.blocks[1],
+        )  # fmt: skip
 
 
 def _units(grid: Grid) -> int:

@@ -12,6 +12,7 @@ from l3cli.rendering.temporal.motion import Vectors, planes_of, vectors_of
 from l3cli.rendering.temporal.noise import (
     DEEP,
     LINEAR_FRACTION,
+    ONE,
     UNEVEN_FRACTION,
     Grid,
     NoiseTerms,
@@ -26,7 +27,6 @@ from l3cli.rendering.temporal.noise import (
 
 # Values are in the unit u (see the module `noise`). A residual is a value in the new frame minus the filtered value in the
 # previous frame.
-ONE = 1 << 10  # fixed-point representation of 1, for weights and noise fractions
 # The sum of squared residuals over 3 × 3 cells indicates motion only above 5/4 of its expected value. The excess is
 # multiplied by 4.
 POWER_FACTOR, POWER_FREE = 4, 5
@@ -119,7 +119,8 @@ def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: G
     if np.count_nonzero(power > CUT * expected) * FEW > power.size:
         return first_blend(values, grid)
     beyond = np.maximum(power * POWER_FACTOR - expected * POWER_FREE, 0)
-    beyond += np.maximum(mean - expected * MEAN_FREE, 0) + np.maximum(wide - expected * WIDE_FREE, 0)
+    beyond += np.maximum(mean - (expected + noise.shared_in_cells * (ONE + left)) * MEAN_FREE, 0)
+    beyond += np.maximum(wide - (expected + noise.shared_nearby * (ONE + left)) * WIDE_FREE, 0)
     whole = expected * (ONE + left) + np.minimum(beyond, MOST_BEYOND) * ONE
     weight = np.maximum(ONE - expected * ONE**2 // whole, LEAST_WEIGHT)
     left = np.minimum(((ONE - weight) ** 2 * left + weight**2 * ONE) // ONE**2 + 1, ONE)
@@ -146,7 +147,7 @@ def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
 def _evidence(
     values: NDArray[np.uint16], residual: Cells, left: Cells, vectors: Vectors, grid: Grid, noise: NoiseTerms
 ) -> tuple[Cells, Cells, Cells, Cells]:
-    """Compute three measures of motion in the 3 × 3 cells around each cell, and their common expected value without motion.
+    """Compute three measures of motion in the 3 × 3 cells around each cell, and their expected value without motion.
 
     Returns
     -------
@@ -157,7 +158,7 @@ def _evidence(
     neighbourhood : ndarray, (cell row, cell col)
         Square of the residual sum over all 3 × 3 cells together, in u².
     expected : ndarray, (cell row, cell col)
-        Expected value of all three measures if there is only noise, in u².
+        Expected value of all three measures if there is only independent noise in all pixels, in u².
     """
     signal = np.maximum(_sums(values.astype(np.int64), grid) - grid.sites * noise.black, 0)
     variance = np.minimum((signal * noise.linear >> LINEAR_FRACTION) + grid.sites * noise.constant, MOST_VARIANCE)
@@ -210,9 +211,7 @@ class ReferenceFilter:
         """
         kind = kind_of(frame)
         grid = Grid.of(frame.values.shape, self._period)
-        noise = noise_of(
-            self._camera.at_gain(frame.gain), frame.black_level, frame.white_level, grid.period[0] * grid.period[1]
-        )
+        noise = noise_of(self._camera.at_gain(frame.gain), frame.black_level, frame.white_level, grid)
         values = grid.padded(to_units(frame.values, noise))
         settings, before = settings_of(frame), self._before
         if self.history is None or before is None or kind != self._kind:
