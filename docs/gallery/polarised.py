@@ -11,7 +11,7 @@ import l3cli
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_training_set
-from l3cli.evaluation.demosaic import interpolate
+from l3cli.evaluation.demosaic import bilinear as interpolated
 from l3cli.evaluation.evaluation import Evaluation
 from l3cli.evaluation.quality import judge_stokes
 from l3cli.frames.super_pixels import SIDE
@@ -76,7 +76,7 @@ def bilinear(frame: TrainingPair, camera: CameraModel, target: Array) -> Array:
     the colours that is most similar to the target.
     """
     span = camera.white_level - camera.black_level
-    planes = interpolate((frame.raw - camera.black_level) / span, camera.cfa)
+    planes = interpolated((frame.raw - camera.black_level) / span, camera.cfa)
     blocks = camera.cfa.reshape(camera.cfa.shape[0] // SIDE, SIDE, -1, SIDE).swapaxes(1, 2).reshape(-1, SIDE**2)
     colours = np.unique(np.sort(blocks, axis=1), axis=0)
     response = camera.relative_stokes_response
