@@ -29,7 +29,7 @@ from l3cli.evaluation.evaluation import Evaluation
 from l3cli.evaluation.pictures import frame_pictures
 from l3cli.io.pictures.openimageio import encoded, jpeg
 from l3cli.parallel import ordered_map
-from l3cli.recipes.builtin import classes_of, known_recipes, summary
+from l3cli.recipes.builtin import classes_of, find_recipe, known_recipes, summary
 from l3cli.stages.evaluation import FrameRenderers, evaluate_frame
 from l3cli.system.console import Silent
 from l3cli.system.files import write_whole
@@ -87,15 +87,20 @@ def effort(path: Path) -> int:
 def make(array: Array) -> tuple[dict[str, Any], float]:
     """Write the pictures of an array. Return the entry for figures.json and the CPU time in seconds."""
     begin, (name, path, twins, jobs) = time.process_time(), array
+    about = {"summary": summary(path), "classes": classes_of(path), "twins": twins}
     with tempfile.TemporaryDirectory(prefix="l3-gallery-") as folder:
         training, table, unseen = (Path(folder, f"{each}.h5") for each in ("training", "table", "unseen"))
-        l3cli.simulate(name if name in polarised.OUTPUTS else SCENES, path, training, jobs=jobs)
-        l3cli.train(training, table, classes=classes_of(path), jobs=jobs)
-        about = {"summary": summary(path), "classes": classes_of(path), "twins": twins}
-        if name in polarised.OUTPUTS:
-            l3cli.simulate(polarised.scenes_of(name, FOLDER / "scene.toml", Path(folder)), path, unseen)
+        scenes: Path | str = SCENES
+        scene, outputs = FOLDER / "scene.toml", polarised.OUTPUTS.get(name)
+        if outputs is not None:
+            path = polarised.noisy_camera(path, Path(folder))
+            scenes = polarised.with_outputs(find_recipe(name, "scenes"), outputs, Path(folder, "training.toml"), lens=False)
+            scene = polarised.with_outputs(scene, outputs, Path(folder, "scene.toml"))
+        l3cli.simulate(scenes, path, training, jobs=jobs)
+        l3cli.train(training, table, classes=about["classes"], jobs=jobs)
+        l3cli.simulate(scene, path, unseen)
+        if outputs is not None:
             return about | put_polarised(name, polarised.judged(table, unseen)), time.process_time() - begin
-        l3cli.simulate(FOLDER / "scene.toml", path, unseen)
         head, pictures, figures = judged(table, unseen)
     write_whole(FOLDER / f"{name}.svg", drawing(head.camera).encode())
     shown = [pictures[each] for each in SHOWN]

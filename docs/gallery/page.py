@@ -35,8 +35,11 @@ PICTURES = """![Filters and responsivities of {title}](gallery/{name}.svg)
 
 POLARISED_HEAD = """## Polarisation cameras
 
-For [polarisation cameras](polarisation.md), the tables were trained with the scene recipe of the same name. The pictures
-show the same scene as above, in which most objects polarise light. The charts and the fine patterns do not polarise light.
+The tables for [polarisation cameras](polarisation.md) are the tables of the [test of the
+accuracy](polarisation.md#accuracy) with a noise of 1 % of full scale in the dark. They were trained with the scene recipe
+of the same name, without blur of the lens. The pictures show the same scene as above, in which most objects polarise light.
+The charts and the fine patterns do not polarise light.
+
 The metrics are the PSNR of S0 and of the degree of linear polarisation (DoLP), the RMS error of the angle (AoLP) where the
 DoLP exceeds 0.05, and the mean DoLP of unpolarised areas ([Metrics](metrics.md#polarisation)).
 

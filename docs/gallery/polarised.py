@@ -1,5 +1,7 @@
 """Make the pictures of polarisation cameras in the gallery: intensity, degree and angle of linear polarisation."""
 
+import re
+import shutil
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +23,11 @@ from l3cli.stages.evaluation import FrameRenderers, evaluate_frame
 from l3cli.system.console import Silent
 
 OUTPUTS = {"polarised": "Stokes", "polarised_colour": "CIE 1931 + Stokes"}  # target outputs of each camera recipe
+# A noise of 1 % of full scale in the dark, as in docs/polarisation.md#accuracy
+NOISE = {
+    "well_capacity_e": 2000.0, "read_noise_e": 20.0, "black_level_dn": 600.0, "gain_dn_per_e": 1.7475, "prnu": 0.0,
+    "dsnu_e": 0.0, "dark_current_e_per_s": 0.0,
+}  # fmt: skip
 FIGURES = {"psnr_s0": 2, "psnr_dolp": 2, "aolp_rmse": 1, "dolp_bias": 4}  # metrics in the page, and their decimal places
 MAPS, PIPELINES = ("S0", "DoLP", "AoLP"), ("ideal", "ours", "bilinear")  # rows and columns of the pictures
 Array = NDArray[np.floating]
@@ -35,11 +42,22 @@ class Judged(NamedTuple):
     scale: float  # upper end of the scale of DoLP
 
 
-def scenes_of(name: str, scene: Path, folder: Path) -> Path:
-    """Write the scene recipe of the gallery with the outputs of a polarisation camera, and return its path."""
-    path = folder / "scene.toml"
-    text = scene.read_text(encoding="utf-8").replace("[[scene]]", f'[target]\noutputs = "{OUTPUTS[name]}"\n\n[[scene]]', 1)
-    path.write_text(text, encoding="utf-8")
+def noisy_camera(recipe: Path, folder: Path) -> Path:
+    """Write the recipe of a camera with a noise of 1 % of full scale, for the pixels of `recipe`. Return its path."""
+    text = recipe.read_text(encoding="utf-8")
+    for key, value in NOISE.items():
+        text = re.sub(rf"(?m)^{key} = .*", f"{key} = {value}", text)
+    (folder / "camera.toml").write_text(text, encoding="utf-8")
+    shutil.copy(recipe.parent / "polarised_extinction.csv", folder)
+    return folder / "camera.toml"
+
+
+def with_outputs(recipe: Path, outputs: str, path: Path, lens: bool = True) -> Path:
+    """Write a scene recipe with the outputs of a polarisation camera to `path`. Without `lens`, scenes are not blurred."""
+    text = re.sub(r"(?m)^\[target\]\noutputs = .*\n", "", recipe.read_text(encoding="utf-8"))
+    head, first, scenes = text.partition("[[scene]]")
+    head += "" if lens else "[lens]\ndiffraction = false\n"
+    path.write_text(f'{head}[target]\noutputs = "{outputs}"\n{first}{scenes}', encoding="utf-8")
     return path
 
 
