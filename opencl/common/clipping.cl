@@ -78,8 +78,10 @@ INLINE int brightest_of(Block block, __global const ushort *restrict raw, int fi
     return brightest;
 }
 
-// Computes the channel means of a block and the largest range of any channel, as fractions of full scale. A block that lacks a channel has a
-// range of -1 and is ignored.
+#define NO_RANGE (-1.0f)  // range of blocks that are ignored, whose means are zero
+
+// Computes the channel means of a block and the largest range of any channel, as fractions of full scale. A block that lacks a channel is
+// ignored.
 INLINE void measure_block(float made[MEANS], Block block, __global const ushort *restrict raw, __global const uchar *restrict cfa,
                           float black_level, float span, int phase_row, int phase_column, int first, int frame_columns) {
     int sum[CHANNELS] = {0}, count[CHANNELS] = {0}, lowest[CHANNELS], highest[CHANNELS] = {0}, widest = 0;
@@ -101,12 +103,12 @@ INLINE void measure_block(float made[MEANS], Block block, __global const ushort 
         widest = MORE(widest, highest[k] - lowest[k]);
     }
     for (int k = 0; k < CHANNELS; k++) made[k] = whole ? made[k] : 0.0f;
-    made[CHANNELS] = whole ? (float)widest / span : -1.0f;
+    made[CHANNELS] = whole ? (float)widest / span : NO_RANGE;
 }
 
 #define NOT_COUNTED(made) do { \
     for (int k_ = 0; k_ < CHANNELS; k_++) (made)[k_] = 0.0f; \
-    (made)[CHANNELS] = -1.0f; \
+    (made)[CHANNELS] = NO_RANGE; \
 } while (0)
 
 // Estimates the brightness of blocks from their channel signals. `white` contains the signals of white, which has the brightness 1.
@@ -320,11 +322,18 @@ INLINE void load_float8(floats *made, __global const float *restrict maps, int x
 #endif
 }
 
-// Stores the first four maps of blocks, their uniformity, and the estimates of their signals. `spread_at` computes the hue maps.
+// Stores the first four maps of blocks, their uniformity, and the estimates of their signals. `spread_at` computes the hue maps. The maps and
+// estimates of LANES blocks are not stored if all of them are ignored. Few blocks are not.
 INLINE void store_maps_of(int y, int x, __global const float *restrict means, __global const float *restrict response,
                           __global float *restrict maps, __global float *restrict uniformity, __global float *restrict estimates, int rows,
                           int columns) {
     floats made[8];
+    const size_t at = (size_t)y * columns;
+    if (!any_lane(repeated_blocks_at(means + ((size_t)CHANNELS * rows + y) * columns, x, columns) != NO_RANGE)) {
+        store_blocks(uniformity + at, x, columns, 0.0f);
+        store_blocks(estimates + (size_t)CHANNELS * rows * columns + at, x, columns, NOT_ESTIMATED);
+        return;
+    }
     for (int m = 4; m < 8; m++) made[m] = 0.0f;
     const floats plain = replacement_of(made, y, x, means, response, rows, columns);
     store_blocks(uniformity + (size_t)y * columns, x, columns, plain);
@@ -419,10 +428,17 @@ INLINE Between between(int pixel, int side, int blocks) {
     return made;
 }
 
-INLINE float8 read_maps_at(Between down, Between across, __global const float8 *restrict maps, int block_columns) {
-    __global const float8 *above = maps + (size_t)down.low * block_columns, *below = maps + (size_t)down.high * block_columns;
-    const float8 left = above[across.low] + down.share * (below[across.low] - above[across.low]);
-    const float8 right = above[across.high] + down.share * (below[across.high] - above[across.high]);
+// Returns the maps of a block. They are zero, but not stored, if the block is ignored.
+INLINE float8 maps_of(__global const float8 *maps, __global const float *range, size_t block) {
+    return range[block] == NO_RANGE ? (float8)0.0f : maps[block];
+}
+
+// Interpolates the maps of a quad. `range` contains the ranges of the blocks.
+INLINE float8 read_maps_at(Between down, Between across, __global const float8 *maps, __global const float *range, int block_columns) {
+    const size_t above = (size_t)down.low * block_columns, below = (size_t)down.high * block_columns;
+    const float8 top_left = maps_of(maps, range, above + across.low), top_right = maps_of(maps, range, above + across.high);
+    const float8 left = top_left + down.share * (maps_of(maps, range, below + across.low) - top_left);
+    const float8 right = top_right + down.share * (maps_of(maps, range, below + across.high) - top_right);
     return left + across.share * (right - left);
 }
 

@@ -103,7 +103,7 @@ INLINE void coarse_row(float *to, int s, int row, int x0, int width, int rows, i
 #endif
 
 #ifdef CLIPPING
-#define CLIPPING_PARAMETER , __global const float *restrict maps  // (map, quad row, quad column)
+#define CLIPPING_PARAMETER , __global const float *restrict maps  // (map, quad row, quad column), and flags
 #define CLIPPING_READ , maps
 
 #define OF_QUAD(i) ((i) / 2)
@@ -116,6 +116,7 @@ INLINE floats of_quads(__global const float *map) {
 // Replaces the outputs of LANES pixels in uniform clipped areas, then changes the hue in all clipped areas (l3cli/classes/clipping.py).
 INLINE void replace_clipped(floats *made, int row, int x, int rows, int columns CLIPPING_PARAMETER) {
     const size_t quads = QUADS_PLANE(rows, columns);
+    if (!QUAD_FLAGS(maps, rows, columns)[QUAD_FLAG(row / 2, x / 2, columns)]) return;
     __global const float *map = maps + (size_t)(row / 2) * QUADS_STRIDE(columns) + x / 2;
     const floats left = 1.0f - of_quads(map);
     #pragma unroll

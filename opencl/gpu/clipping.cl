@@ -35,10 +35,10 @@ KERNEL_OF_TILE spread_estimates(__global const float *restrict means, __global c
     spread_at(y, x, means, response, uniformity, from, to, maps, down, across, last, rows, columns);
 }
 
-KERNEL_OF_TILE read_maps(__global const float8 *restrict maps, __global float *restrict to, int first, int block_rows,
-                         int block_columns, int plane_rows, int plane_columns, int rows, int columns) {
+KERNEL_OF_TILE read_maps(__global const float8 *restrict maps, __global const float *restrict means, __global float *restrict to,
+                         int first, int block_rows, int block_columns, int plane_rows, int plane_columns, int rows, int columns) {
     ITS_PLACE;
     const Between down = between(first + 2 * y, BLOCK_ROWS, block_rows), across = between(2 * x, BLOCK_COLUMNS, block_columns);
     store_maps(to, (size_t)y * QUADS_STRIDE(plane_columns) + x, QUADS_PLANE(plane_rows, plane_columns),
-               read_maps_at(down, across, maps, block_columns));
+               read_maps_at(down, across, maps, means + (size_t)CHANNELS * block_rows * block_columns, block_columns));
 }

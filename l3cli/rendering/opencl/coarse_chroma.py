@@ -152,7 +152,8 @@ class DeviceClipping:
         track.maps = scratch(context, track.maps, size * BLOCK_MAPS)
         track.uniformity = scratch(context, track.uniformity, size)
         track.estimates = [scratch(context, each, size * (len(table.channels) + 1)) for each in track.estimates]
-        track.quads = scratch(context, track.quads, 4 * (MAPS * quads[0] * (quads[1] + READ_AHEAD) + READ_AHEAD))
+        row = quads[1] + READ_AHEAD  # a row of a map is followed by at most as many flags
+        track.quads = scratch(context, track.quads, 4 * (MAPS * quads[0] * row + READ_AHEAD) + quads[0] * row)
         bright, span = first_bright(frame.black_level, table.white_level), table.white_level - frame.black_level
         levels = np.int32(bright), np.float32(frame.black_level), np.float32(span)
         where = *frame.phase, band.raw_rows.start, band.raw_rows.stop - band.raw_rows.start, rows, columns
@@ -165,7 +166,7 @@ class DeviceClipping:
             events.append(self._run(spread, track, blocks, *buffers, *map(np.int32, (*spacing, last))))
             made, other = other, made
         where = band.reads[len(band.later) - 1].start, *blocks, *shape
-        events.append(self._run(read, track, quads, track.maps, track.quads, *map(np.int32, where)))
+        events.append(self._run(read, track, quads, track.maps, means, track.quads, *map(np.int32, where)))
         return events, track.quads
 
 

@@ -320,7 +320,7 @@ def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
         "MAX_RAW": 0,
         **({"RATIO_TAPS": layer.ratio_taps, "DARKEST": RATIO_DARKEST} if layer.ratio_taps else {}),
         **(_coarse_macros(table) if layer.coarse_chroma else {}),
-        **({"CLIPPING": 1} if layer.clipping else {}),
+        **({"CLIPPING": 1, "MAPS": clipping.MAPS} if layer.clipping else {}),
         **({"CORRECTS": 1} if table.components else {}),
         **white_macros(table),
         **plane_kernel.rule_macros(layer.rule),
