@@ -6,69 +6,48 @@
     for (int y = GROUP_ROW; y < min(GROUP_ROW + BAND, rows); y++) \
         for (int x = GROUP_COLUMN; x < min(GROUP_COLUMN + TILE, columns); x += LANES)
 
-// Whether any of `count` values is at least `bright`.
-INLINE bool any_bright(const ushort *value, int count, int bright) {
-    int p = 0;
-    ints found = 0;
-    for (; p + LANES <= count; p += LANES) found |= CONVERT(LOAD_PRIVATE(shorts, value + p), ints) >= bright;
-    bool any = any_lane(found);
-    AT_EDGE
-    for (; p < count; p++) any = any || value[p] >= bright;
-    return any;
+// Whether any raw value in a range of rows and columns is at least `bright`.
+INLINE bool any_bright(__global const ushort *restrict raw, Block range, int bright, int first, int frame_columns) {
+    shorts most = 0;
+    int rest = 0;
+    for (int r = range.top; r < range.bottom; r++) {
+        __global const ushort *row = raw + (ptrdiff_t)(r - first) * frame_columns;
+        int c = range.left;
+        for (; c + LANES <= range.right; c += LANES) {
+            const shorts value = LOAD_GLOBAL(shorts, row + c);
+            most = value > most ? value : most;
+        }
+        AT_EDGE
+        for (; c < range.right; c++) rest = MORE(rest, row[c]);
+    }
+    return rest >= bright || any_lane(CONVERT(most, ints) >= bright);
 }
 
 // Measures a tile of blocks. `raw` contains the raw rows of a band from row `first` of the frame. Blocks outside the band are ignored.
 COMPILED_ONCE measure_tile(int x0, int y0, __global const ushort *restrict raw, __global const uchar *restrict cfa,
                            __global float *restrict means, int bright, float black_level, float span, int phase_row,
                            int phase_column, int first, int raw_rows, int frame_rows, int frame_columns, int rows, int columns) {
-    const int x1 = min(x0 + TILE, columns), begin = x0 * BLOCK_COLUMNS, width = min(TILE * BLOCK_COLUMNS, frame_columns - begin);
+    const int x1 = min(x0 + TILE, columns);
     const size_t plane = (size_t)rows * columns;
-    ushort brightest[TILE * BLOCK_COLUMNS];  // highest value of each column
-    for (int y = y0; y < min(y0 + BAND, rows); y++) {
-        const Block row = block_at(y, x0, frame_rows, frame_columns);
-        const bool inside = row.top >= first && row.bottom <= first + raw_rows;
-        __global const ushort *start = raw + (ptrdiff_t)(row.top - first) * frame_columns + begin;
-        int p = 0;
-        for (; inside && p + LANES <= width; p += LANES) {
-            shorts most = LOAD_GLOBAL(shorts, start + p);
-            for (int r = 1; r < row.bottom - row.top; r++) {
-                const shorts more = LOAD_GLOBAL(shorts, start + (size_t)r * frame_columns + p);
-                most = more > most ? more : most;
-            }
-            STORE_PRIVATE(shorts, brightest + p) = most;
-        }
-        AT_EDGE
-        for (; inside && p < width; p++) {
-            brightest[p] = 0;
-            for (int r = 0; r < row.bottom - row.top; r++) {
-                const ushort value = start[(size_t)r * frame_columns + p];
-                brightest[p] = MORE(brightest[p], value);
-            }
-        }
+    for (int y = y0; y < min(y0 + BAND, rows); y++)
         for (int x = x0; x < x1; x += LANES) {
-            const int end = min(x + LANES, x1), left = block_at(y, x, frame_rows, frame_columns).left;
-            const int right = block_at(y, end - 1, frame_rows, frame_columns).right;
-            if (left >= begin && (!inside || !any_bright(brightest + left - begin, right - left, bright))) {
-                for (int k = 0; k < MEANS; k++) {
-                    const floats dark = k < CHANNELS ? 0.0f : NO_RANGE;
-                    STORE_FIRST(means + k * plane + (size_t)y * columns + x, dark, end - x);
-                }
+            const int end = min(x + LANES, x1);
+            __global float *to = means + (size_t)y * columns;
+            Block range = block_at(y, x, frame_rows, frame_columns);
+            range.right = block_at(y, end - 1, frame_rows, frame_columns).right;
+            if (range.top < first || range.bottom > first + raw_rows || !any_bright(raw, range, bright, first, frame_columns)) {
+                for (int k = 0; k < MEANS; k++) STORE_FIRST(to + k * plane + x, (floats)(k < CHANNELS ? 0.0f : NO_RANGE), end - x);
                 continue;
             }
             for (int b = x; b < end; b++) {
                 const Block block = block_at(y, b, frame_rows, frame_columns);
-                int most = 0;
-                if (inside && block.left < begin) most = brightest_of(block, raw, first, frame_columns);
-                else if (inside)
-                    for (int c = block.left; c < block.right; c++) most = MORE(most, brightest[c - begin]);
                 float made[MEANS];
                 NOT_COUNTED(made);
-                if (min(most, MAX_RAW) >= bright)
+                if (min(brightest_of(block, raw, first, frame_columns), MAX_RAW) >= bright)
                     measure_block(made, block, raw, cfa, black_level, span, phase_row, phase_column, first, frame_columns);
-                for (int k = 0; k < MEANS; k++) means[k * plane + (size_t)y * columns + b] = made[k];
+                for (int k = 0; k < MEANS; k++) to[k * plane + b] = made[k];
             }
         }
-    }
 }
 
 KERNEL_OF_ONE measure_blocks(__global const ushort *restrict raw, __global const uchar *restrict cfa, __global float *restrict means,
@@ -91,13 +70,14 @@ KERNEL_OF_ONE spread_estimates(__global const float *restrict means, __global co
 }
 
 // Number of blocks in a row from which LANES quads are interpolated.
-#define BLOCKS_ACROSS (2 * LANES / BLOCK_COLUMNS + 2)
+#define BLOCKS_ACROSS (2 * LANES / BLOCK_COLUMNS + 2)  // at most LANES
 
-// Whether any map of `count` blocks differs from zero.
-INLINE bool any_map(__global const float8 *maps, __global const float *range, size_t block, int count) {
+// Whether any map of the first `count` blocks from column x differs from zero.
+INLINE bool any_map(__global const float8 *maps, __global const float *range, int x, int count, int columns) {
+    if (!any_lane(repeated_blocks_at(range, x, columns) != NO_RANGE)) return false;
     float8 sum = 0.0f;
-    for (int b = 0; b < count; b++)
-        if (range[block + b] != NO_RANGE) sum += maps[block + b] * maps[block + b];
+    for (int b = x; b < x + count; b++)
+        if (range[b] != NO_RANGE) sum += maps[b] * maps[b];
     const float4 sums = sum.lo + sum.hi;
     return sums.x + sums.y + sums.z + sums.w != 0.0f;
 }
@@ -110,10 +90,11 @@ COMPILED_ONCE read_maps_of_tile(int x0, int y0, __global const float8 *restrict 
     __global const float *range = means + (size_t)CHANNELS * block_rows * block_columns;
     for (int y = y0; y < min(y0 + BAND, rows); y++) {
         const Between down = between(first + 2 * y, BLOCK_ROWS, block_rows);
+        const size_t above = (size_t)down.low * block_columns, below = (size_t)down.high * block_columns;
         for (int x = x0; x < min(x0 + TILE, columns); x += LANES) {
             const int start = between(2 * x, BLOCK_COLUMNS, block_columns).low, count = min(BLOCKS_ACROSS, block_columns - start);
-            const bool any = any_map(maps, range, (size_t)down.low * block_columns + start, count)
-                          || any_map(maps, range, (size_t)down.high * block_columns + start, count);
+            const bool any = any_map(maps + above, range + above, start, count, block_columns)
+                          || any_map(maps + below, range + below, start, count, block_columns);
             flags[QUAD_FLAG(y, x, plane_columns)] = any;
             for (int i = x; any && i < min(x + LANES, columns); i++)
                 store_maps(to, (size_t)y * QUADS_STRIDE(plane_columns) + i, quads,

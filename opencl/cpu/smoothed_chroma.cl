@@ -1,81 +1,95 @@
 // Processor variant: smooths the chroma of a band, and encodes the result (common/smoothed_chroma.cl).
 //
-// A work-item processes a tile of TILE columns and BAND rows.
+// A work-item processes a tile of TILE columns and BAND rows, in strips of STRIP columns. The rows that a pixel and its neighbours occupy are
+// copied to a ring that fits into the first-level cache, with mirrored columns outside the frame. In the planes themselves, the rows of a frame
+// with 2^n columns would evict one another from the cache.
 
-// Reads LANES values of a row from column x. Unless `inside` is set, columns outside the frame are mirrored.
-INLINE floats read_one(__global const float *row, int x, int columns, bool inside) {
-    return inside ? LOAD_GLOBAL(floats, row + x) : read_across(row, x, columns);
+#define STRIP 128                                           // columns
+#define SIDE 16                                             // copied columns on either side of a strip, a whole number of vectors
+#define PITCH (STRIP + 2 * SIDE)                            // values per row of the ring
+#define RING_ROWS (2 * CHROMA_REACH + 1)                    // rows in the ring
+#define IN_RING(row) ((row) % RING_ROWS * (3 * PITCH))      // where a row begins; `row` must not be negative
+
+// Copies the columns of a strip, from x0, of one row of X, Y and Z to the ring.
+INLINE void row_to_ring(float *to, __global const float *row, size_t stride, int x0, int width, int columns) {
+    for (int o = 0; o < 3; o++)
+        for (int x = -SIDE; x < width + SIDE; x += LANES)
+            STORE_PRIVATE(floats, to + o * PITCH + SIDE + x) = read_across(row + o * stride, x0 + x, columns);
 }
 
 // Reads X, Y and Z of LANES pixels.
-INLINE void read_three(floats *value, __global const float *row, size_t stride, int x, int columns, bool inside) {
+INLINE void read_three(floats *value, const float *at) {
     #pragma unroll
-    for (int o = 0; o < 3; o++) value[o] = read_one(row + o * stride, x, columns, inside);
+    for (int o = 0; o < 3; o++) value[o] = LOAD_PRIVATE(floats, at + o * PITCH);
 }
 
-INLINE void smooth_pixels(floats *own, __global const float *const *row, size_t stride, int x, int columns, bool inside,
-                          float by_luminance, float by_x, float by_z) {
+// Smooths LANES pixels. `place[n]` is where neighbour n of the strip's first pixel is in the ring, and x the column in the strip.
+INLINE void smooth_pixels(floats *own, const float *const *place, int x, float by_luminance, float by_x, float by_z) {
     floats sums[3] = {0.0f, 0.0f, 0.0f}, there[3], differences = 0.0f;
-    const int right[] = {CHROMA_COLUMNS};
-    read_three(own, row[NEIGHBOURS], stride, x, columns, inside);
+    read_three(own, place[NEIGHBOURS] + x);
     #pragma unroll
-    for (int n = 0; n < NEAR_NEIGHBOURS; n++)
-        differences += difference_between(own[1], read_one(row[n] + stride, x + right[n], columns, inside));
+    for (int n = 0; n < NEAR_NEIGHBOURS; n++) differences += difference_between(own[1], LOAD_PRIVATE(floats, place[n] + x + PITCH));
     const Scaled scaled = scaled_pixel(own, differences, by_luminance, by_x, by_z);
     #pragma unroll
     for (int n = 0; n < NEIGHBOURS; n++) {
-        read_three(there, row[n], stride, x + right[n], columns, inside);
+        read_three(there, place[n] + x);
         add_neighbour(sums, scaled, there, UNLIKE(n));
     }
     change_chroma(own, scaled, sums, by_x, by_z);
 }
 
 #ifdef LEAST_REACH
-#define MARGIN_COLUMNS (LEAST_REACH > CHROMA_REACH ? LEAST_REACH : CHROMA_REACH)
+#define LEAST_ROWS (2 * LEAST_REACH + 1)
 
 // Converts the raw values of LANES pixels, from column x, to the luminances of white objects with the same raw values. Columns outside the frame
 // repeat the outermost pixels.
-INLINE floats levels_of(__global const ushort *raw, __global const float *scale, float black_level, int phase, int x, int columns,
-                        bool inside) {
-    if (inside) {
+INLINE floats levels_of(__global const ushort *raw, __global const float *scale, float black_level, int phase, int x, int columns) {
+    if (x >= 0 && x + LANES <= columns) {
         const shorts value = LOAD_GLOBAL(shorts, raw + x), within = value < (ushort)MAX_RAW ? value : (shorts)(ushort)MAX_RAW;
         return (CONVERT(CONVERT(within, ints), floats) - black_level) * LOAD_GLOBAL(floats, scale + (x + phase) % CFA_COLUMNS);
     }
     float level[LANES];
     AT_EDGE
     for (int i = 0; i < LANES; i++) {
-        const int column = min(max(x + i, 0), columns - 1);
-        level[i] = ((float)min(raw[column], (ushort)MAX_RAW) - black_level) * scale[(column + phase) % CFA_COLUMNS];
+        const int column = within_length(x + i, columns), value = raw[column] < MAX_RAW ? raw[column] : MAX_RAW;
+        level[i] = ((float)value - black_level) * scale[(column + phase) % CFA_COLUMNS];
     }
     return LOAD_PRIVATE(floats, level);
 }
 
-// Raises pixels that are much darker than the raw values around them. The search for the smallest raw value ends as soon as all pixels of
-// the vector are at least as bright as the values found so far require. For most pixels, this is at once.
-INLINE void raise_pixels(floats *own, __global const float *const *row, size_t stride, LEAST_PARAMETERS floats gain, int y, int x,
-                         int frame_rows, int columns, bool inside) {
-    #define LEVELS(line, column) \
-        levels_of(raw + (size_t)((line) - raw_first) * columns, scale + ((line) + phase_row) % CFA_ROWS * SCALE_PERIOD, black_level, \
-                  phase_column, column, columns, inside)
-    floats smallest = LEVELS(y, x);
-    for (int i = -LEAST_REACH; i <= LEAST_REACH; i++) {
-        if (!any_lane(own[1] < gain * least_luminance(smallest))) return;
-        const int line = min(max(y + i, 0), frame_rows - 1);
+// Computes, for the pixels of a strip in one row, the lowest level within LEAST_REACH columns.
+INLINE void lowest_of_row(float *to, __global const ushort *raw, __global const float *scale, float black_level, int phase, int x0,
+                          int width, int columns) {
+    float level[PITCH];
+    for (int x = -LANES; x < width + LANES; x += LANES)
+        STORE_PRIVATE(floats, level + SIDE + x) = levels_of(raw, scale, black_level, phase, x0 + x, columns);
+    for (int x = 0; x < width; x += LANES) {
+        floats lowest = LOAD_PRIVATE(floats, level + SIDE + x);
+        #pragma unroll
         for (int j = -LEAST_REACH; j <= LEAST_REACH; j++) {
-            const floats level = LEVELS(line, x + j);
-            smallest = level < smallest ? level : smallest;
+            const floats other = LOAD_PRIVATE(floats, level + SIDE + x + j);
+            lowest = other < lowest ? other : lowest;
         }
+        STORE_PRIVATE(floats, to + x) = lowest;
     }
-    floats diagonal[3] = {0.0f, 0.0f, 0.0f}, there[3];
+}
+
+// Raises pixels that are much darker than the raw values around them. `lowest` contains the lowest levels of LEAST_ROWS rows.
+INLINE void raise_pixels(floats *own, const float *const *place, const float (*lowest)[STRIP], floats gain, int x) {
+    floats smallest = LOAD_PRIVATE(floats, lowest[0] + x), diagonal[3] = {0.0f, 0.0f, 0.0f}, there[3];
+    #pragma unroll
+    for (int i = 1; i < LEAST_ROWS; i++) {
+        const floats other = LOAD_PRIVATE(floats, lowest[i] + x);
+        smallest = other < smallest ? other : smallest;
+    }
+    const floats least = gain * least_luminance(smallest);
+    if (!any_lane(own[1] < least)) return;
     for (int n = 0; n < 4; n++) {
-        const int right[] = {CHROMA_COLUMNS};
-        read_three(there, row[n], stride, x + right[n], columns, inside);
+        read_three(there, place[n] + x);
         for (int o = 0; o < 3; o++) diagonal[o] += there[o];
     }
-    raise_luminance(own, diagonal, gain * least_luminance(smallest));
+    raise_luminance(own, diagonal, least);
 }
-#else
-#define MARGIN_COLUMNS CHROMA_REACH
 #endif
 
 COMPILED_ONCE smooth_chroma_tile(int x0, int y0,
@@ -89,26 +103,50 @@ COMPILED_ONCE smooth_chroma_tile(int x0, int y0,
                                  int rows, int columns) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const size_t stride = (size_t)made_rows * columns, pixels = (size_t)rows * columns;
-    for (int y = y0; y < y1; y++) {
-        __global const float *row[NEIGHBOURS + 1];  // the rows of the neighbours, and last the row of the pixels
-        const int down[] = {CHROMA_ROWS, 0};
-        #pragma unroll
-        for (int n = 0; n <= NEIGHBOURS; n++) row[n] = made + (size_t)(mirrored(first + y + down[n], frame_rows) - top) * columns;
-        for (int x = 0; x < width; x += LANES) {
-            floats own[3];
-            const int column = x0 + x;
-            const bool inside = column >= MARGIN_COLUMNS && column + LANES + MARGIN_COLUMNS <= columns;
-            if (inside) smooth_pixels(own, row, stride, column, columns, true, by_luminance, by_x, by_z);
-            else smooth_pixels(own, row, stride, column, columns, false, by_luminance, by_x, by_z);
+    const int down[] = {CHROMA_ROWS, 0}, right[] = {CHROMA_COLUMNS, 0};
+    float ring[RING_ROWS * 3 * PITCH] __attribute__((aligned(64)));
+#ifdef LEAST_REACH
+    float lowest[LEAST_ROWS][STRIP];
+#endif
+    for (int strip = x0; strip < x0 + width; strip += STRIP) {
+        const int end = min(STRIP, x0 + width - strip);
+        // The ring's row number k contains the row that is CHROMA_REACH rows above row y0 + k of the band.
+        for (int k = 0; k < y1 - y0 + 2 * CHROMA_REACH; k++) {
+            const int line = mirrored(first + y0 + k - CHROMA_REACH, frame_rows) - top, y = y0 + k - 2 * CHROMA_REACH;
+            __global const float *from = made + (size_t)line * columns, *next = from + columns + strip;
+            row_to_ring(ring + IN_RING(k), from, stride, strip, end, columns);
+            if (y < y0) {
+                for (int x = -SIDE; x < end + SIDE; x += LANES)
+                    for (int o = 0; o < 3; o++) FETCH(next + o * stride + x);
+                continue;
+            }
+            const float *place[NEIGHBOURS + 1];  // of the neighbours, and last of the pixels
+            #pragma unroll
+            for (int n = 0; n <= NEIGHBOURS; n++) place[n] = ring + IN_RING(k - CHROMA_REACH + down[n]) + SIDE + right[n];
+#ifdef LEAST_REACH
+            for (int i = y == y0 ? -LEAST_REACH : LEAST_REACH; i <= LEAST_REACH; i++) {
+                const int raw_line = within_length(first + y + i, frame_rows);
+                lowest_of_row(lowest[(k + i) % LEAST_ROWS], raw + (size_t)(raw_line - raw_first) * columns,
+                              scale + (raw_line + phase_row) % CFA_ROWS * SCALE_PERIOD, black_level, phase_column, strip, end, columns);
+            }
+            __global const ushort *next_raw =
+                raw + (size_t)(within_length(first + y + LEAST_REACH + 1, frame_rows) - raw_first) * columns + strip;
+#endif
+            for (int x = 0; x < end; x += LANES) {
+                floats own[3];
+                for (int o = 0; o < 3; o++) FETCH(next + o * stride + x + SIDE);
+                smooth_pixels(own, place, x, by_luminance, by_x, by_z);
 #ifdef LEAST_REACH
 #ifdef SHADED
-            const floats factor = gains_at(gain + (size_t)(first + y - top) * GAIN_NODES(columns), column);
+                const floats factor = gains_at(gain + (size_t)(first + y - top) * GAIN_NODES(columns), strip + x);
 #else
-            const floats factor = 1.0f;
+                const floats factor = 1.0f;
 #endif
-            raise_pixels(own, row, stride, LEAST_READ factor, first + y, column, frame_rows, columns, inside);
+                FETCH(next_raw + x + LANES);
+                raise_pixels(own, place, lowest, factor, x);
 #endif
-            write_pixels(picture, own, matrix, (size_t)y * columns + column, width - x, pixels);
+                write_pixels(picture, own, matrix, (size_t)y * columns + strip + x, end - x, pixels);
+            }
         }
     }
 }
