@@ -23,13 +23,66 @@ INLINE bool any_bright(__global const ushort *restrict raw, Block range, int bri
     return rest >= bright || any_lane(CONVERT(most, ints) >= bright);
 }
 
+// Channel of each pixel of a block, and number of pixels per channel. They are the same for all blocks whose columns begin a CFA period.
+typedef struct {
+    int channel[BLOCK_ROWS][BLOCK_COLUMNS], count[CHANNELS];
+} Pattern;
+
+INLINE Pattern pattern_at(__global const uchar *restrict cfa, int row, int column) {
+    Pattern made;
+    for (int k = 0; k < CHANNELS; k++) made.count[k] = 0;
+    for (int r = 0; r < BLOCK_ROWS; r++)
+        for (int c = 0; c < BLOCK_COLUMNS; c++) {
+            made.channel[r][c] = cfa[(row + r) % CFA_ROWS * CFA_COLUMNS + (column + c) % CFA_COLUMNS];
+            made.count[made.channel[r][c]]++;
+        }
+    return made;
+}
+
+// Does the same as measure_block, for LANES adjacent blocks with the first pixel `raw`.
+INLINE void measure_blocks_in_lanes(floats made[MEANS], const Pattern *pattern, __global const ushort *restrict raw, int bright,
+                                    float black_level, float span, int frame_columns) {
+    ints sum[CHANNELS], lowest[CHANNELS], highest[CHANNELS], brightest = 0, widest = 0;
+    for (int k = 0; k < CHANNELS; k++) {
+        sum[k] = highest[k] = 0;
+        lowest[k] = MAX_RAW;
+    }
+    for (int r = 0; r < BLOCK_ROWS; r++) {
+        ushort lane[BLOCK_COLUMNS][LANES];
+        for (int i = 0; i < LANES; i++)
+            #pragma unroll
+            for (int c = 0; c < BLOCK_COLUMNS; c++) lane[c][i] = raw[(size_t)r * frame_columns + i * BLOCK_COLUMNS + c];
+        for (int c = 0; c < BLOCK_COLUMNS; c++) {
+            const ints read = CONVERT(LOAD_PRIVATE(shorts, lane[c]), ints), value = read < MAX_RAW ? read : MAX_RAW;
+            const int k = pattern->channel[r][c];
+            sum[k] += value;
+            lowest[k] = value < lowest[k] ? value : lowest[k];
+            highest[k] = value > highest[k] ? value : highest[k];
+        }
+    }
+    bool whole = true;
+    for (int k = 0; k < CHANNELS; k++) {
+        const ints range = highest[k] - lowest[k];
+        whole = whole && pattern->count[k] > 0;
+        brightest = highest[k] > brightest ? highest[k] : brightest;
+        widest = range > widest ? range : widest;
+    }
+    const ints counted = whole ? brightest >= bright : (ints)0;
+    for (int k = 0; k < CHANNELS; k++) {
+        const floats mean = (CONVERT(sum[k], floats) / (float)MORE(pattern->count[k], 1) - black_level) / span;
+        made[k] = counted ? less_of(mean, 1.0f) : (floats)0.0f;
+    }
+    made[CHANNELS] = counted ? CONVERT(widest, floats) / span : (floats)NO_RANGE;
+}
+
 // Measures a tile of blocks. `raw` contains the raw rows of a band from row `first` of the frame. Blocks outside the band are ignored.
 COMPILED_ONCE measure_tile(int x0, int y0, __global const ushort *restrict raw, __global const uchar *restrict cfa,
                            __global float *restrict means, int bright, float black_level, float span, int phase_row,
                            int phase_column, int first, int raw_rows, int frame_rows, int frame_columns, int rows, int columns) {
     const int x1 = min(x0 + TILE, columns);
     const size_t plane = (size_t)rows * columns;
-    for (int y = y0; y < min(y0 + BAND, rows); y++)
+    for (int y = y0; y < min(y0 + BAND, rows); y++) {
+        const Pattern pattern = pattern_at(cfa, block_at(y, x0, frame_rows, frame_columns).top + phase_row, phase_column);
         for (int x = x0; x < x1; x += LANES) {
             const int end = min(x + LANES, x1);
             __global float *to = means + (size_t)y * columns;
@@ -39,7 +92,14 @@ COMPILED_ONCE measure_tile(int x0, int y0, __global const ushort *restrict raw, 
                 for (int k = 0; k < MEANS; k++) STORE_FIRST(to + k * plane + x, (floats)(k < CHANNELS ? 0.0f : NO_RANGE), end - x);
                 continue;
             }
-            for (int b = x; b < end; b++) {
+            if (range.right == (x + LANES) * BLOCK_COLUMNS && range.bottom == range.top + BLOCK_ROWS) {
+                floats made[MEANS];
+                __global const ushort *corner = raw + (size_t)(range.top - first) * frame_columns + range.left;
+                measure_blocks_in_lanes(made, &pattern, corner, bright, black_level, span, frame_columns);
+                for (int k = 0; k < MEANS; k++) STORE_GLOBAL(floats, to + k * plane + x) = made[k];
+                continue;
+            }
+            for (int b = x; b < end; b++) {  // blocks at the right edge, or of a low frame
                 const Block block = block_at(y, b, frame_rows, frame_columns);
                 float made[MEANS];
                 NOT_COUNTED(made);
@@ -48,6 +108,7 @@ COMPILED_ONCE measure_tile(int x0, int y0, __global const ushort *restrict raw, 
                 for (int k = 0; k < MEANS; k++) to[k * plane + b] = made[k];
             }
         }
+    }
 }
 
 KERNEL_OF_ONE measure_blocks(__global const ushort *restrict raw, __global const uchar *restrict cfa, __global float *restrict means,
