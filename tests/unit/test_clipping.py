@@ -14,7 +14,7 @@ from l3cli.artifacts.layers import Clipping
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
-from l3cli.classes.clipping import BEGINS, CLIPS, WHITE_FROM, Mosaic, block_maps, clipping_maps, replaced
+from l3cli.classes.clipping import BEGINS, CLIPS, WHITE_FROM, Mosaic, block_maps, block_sides, clipping_maps, replaced
 from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.physics.display import daylight, delta_e_2000, displayed, displayed_xyz, lab
@@ -82,6 +82,42 @@ def test_backends_agree(monkeypatch: pytest.MonkeyPatch, array: str, variant: st
     whole = device.outputs(frames[0])
     monkeypatch.setattr(work, "BAND_PIXELS", 10 * 131)
     np.testing.assert_array_equal(OpenCLRenderer(table, variant=variant).outputs(frames[0]), whole)
+
+
+LIGHT = 20  # pixels, side of a light that contains few uniform blocks
+
+
+def lights_frame(table: TransformTable, places: list[tuple[int, int]]) -> RawFrame:
+    """A dark frame with small lights, in which some channels clip, at the given first pixels."""
+    rows, cols = np.indices((203, 1063))
+    channel = table.cfa[rows % table.cfa.shape[0], cols % table.cfa.shape[1]]
+    light = np.linspace(0.65, 1.3, len(table.channels))[channel]
+    signal = 0.2 * light
+    for row, col in places:
+        here = slice(row, row + LIGHT), slice(col, col + LIGHT)
+        signal[here] = light[here]
+    span = table.white_level - table.black_level
+    values = np.clip(signal * span + table.black_level, 0, table.white_level).astype(np.uint16)
+    return RawFrame("lights", values, table.black_level, table.white_level)
+
+
+@pytest.mark.parametrize(("array", "lanes"), [("bayer", None), ("x-trans", 8)])
+def test_single_lights_are_corrected_wherever_they_are(array: str, lanes: int | None) -> None:
+    """Also at the corners of a frame and of tiles, and in a frame that a renderer renders after another one."""
+    bare = with_coarse_chroma(with_refinement(random_table(ARRAYS[array], black_level=64.0, patch=5), 5, ratios=1))
+    table = with_clipping(bare)
+    device, reference = OpenCLRenderer(table, variant="processor", lanes=lanes), ReferenceRenderer(table)
+    sides = block_sides(table.cfa)
+    corner = min(48 * sides[0] - 8, 183), min(256 * sides[1] - 8, 1043)  # of a tile of blocks, or of the frame
+    lit = [(0, 0), corner, (88, 502), (88, 56)]  # tiles of quads are 96 × 512 pixels
+    for places in (lit, [], [(0, 1043), (183, 0), (40, 300)], lit):
+        frame = lights_frame(table, places)
+        expected = reference.exact_outputs(frame)
+        np.testing.assert_allclose(device.outputs(frame), expected, atol=1e-5 * np.abs(expected).max())
+        changed = np.abs(expected - ReferenceRenderer(bare).exact_outputs(frame)).max(axis=0)
+        assert changed.any() == bool(places)
+        for row, col in places:
+            assert changed[row : row + LIGHT, col : col + LIGHT].max() > 0.01
 
 
 @pytest.mark.parametrize(("sides", "variant"), [((), "processor"), ((3,), "graphics")], ids=["one layer", "two layers"])
