@@ -1,16 +1,15 @@
 // Processor variant: smooths the chroma of a band, and encodes the result (common/smoothed_chroma.cl).
 //
-// A work-item processes a tile of TILE columns and BAND rows, in strips of STRIP columns. The rows that a pixel and its neighbours occupy are
-// copied to a ring that fits into the first-level cache, with mirrored columns outside the frame. In the planes themselves, the rows of a frame
-// with 2^n columns would evict one another from the cache.
+// A work-item processes a tile of TILE columns and BAND rows. The rows that a pixel and its neighbours occupy are copied to a ring that fits into
+// the first-level cache, with mirrored columns outside the frame. In the planes themselves, the rows of a frame with 2^n columns would evict one
+// another from the cache.
 
-#define STRIP 128                                           // columns
-#define SIDE 16                                             // copied columns on either side of a strip, a whole number of vectors
-#define PITCH (STRIP + 2 * SIDE)                            // values per row of the ring
-#define RING_ROWS (2 * CHROMA_REACH + 1)                    // rows in the ring
-#define IN_RING(row) ((row) % RING_ROWS * (3 * PITCH))      // where a row begins; `row` must not be negative
+#define SIDE 16                                         // copied columns on either side of a tile, a whole number of vectors
+#define PITCH (TILE + 2 * SIDE)                         // values per row of the ring
+#define RING_ROWS (2 * CHROMA_REACH + 1)                // rows in the ring
+#define IN_RING(row) ((row) % RING_ROWS * (3 * PITCH))  // where a row begins; `row` must not be negative
 
-// Copies the columns of a strip, from x0, of one row of X, Y and Z to the ring.
+// Copies the columns of a tile, from x0, of one row of X, Y and Z to the ring.
 INLINE void row_to_ring(float *to, __global const float *row, size_t stride, int x0, int width, int columns) {
     for (int o = 0; o < 3; o++)
         for (int x = -SIDE; x < width + SIDE; x += LANES)
@@ -23,7 +22,7 @@ INLINE void read_three(floats *value, const float *at) {
     for (int o = 0; o < 3; o++) value[o] = LOAD_PRIVATE(floats, at + o * PITCH);
 }
 
-// Smooths LANES pixels. `place[n]` is where neighbour n of the strip's first pixel is in the ring, and x the column in the strip.
+// Smooths LANES pixels. `place[n]` is where neighbour n of the tile's first column is in the ring, and x the column in the tile.
 INLINE void smooth_pixels(floats *own, const float *const *place, int x, float by_luminance, float by_x, float by_z) {
     floats sums[3] = {0.0f, 0.0f, 0.0f}, there[3], differences = 0.0f;
     read_three(own, place[NEIGHBOURS] + x);
@@ -57,7 +56,7 @@ INLINE floats levels_of(__global const ushort *raw, __global const float *scale,
     return LOAD_PRIVATE(floats, level);
 }
 
-// Computes, for the pixels of a strip in one row, the lowest level within LEAST_REACH columns.
+// Computes, for the pixels of a tile in one row, the lowest level within LEAST_REACH columns.
 INLINE void lowest_of_row(float *to, __global const ushort *raw, __global const float *scale, float black_level, int phase, int x0,
                           int width, int columns) {
     float level[PITCH];
@@ -75,7 +74,7 @@ INLINE void lowest_of_row(float *to, __global const ushort *raw, __global const 
 }
 
 // Raises pixels that are much darker than the raw values around them. `lowest` contains the lowest levels of LEAST_ROWS rows.
-INLINE void raise_pixels(floats *own, const float *const *place, const float (*lowest)[STRIP], floats gain, int x) {
+INLINE void raise_pixels(floats *own, const float *const *place, const float (*lowest)[TILE], floats gain, int x) {
     floats smallest = LOAD_PRIVATE(floats, lowest[0] + x), diagonal[3] = {0.0f, 0.0f, 0.0f}, there[3];
     #pragma unroll
     for (int i = 1; i < LEAST_ROWS; i++) {
@@ -106,47 +105,44 @@ COMPILED_ONCE smooth_chroma_tile(int x0, int y0,
     const int down[] = {CHROMA_ROWS, 0}, right[] = {CHROMA_COLUMNS, 0};
     float ring[RING_ROWS * 3 * PITCH] __attribute__((aligned(64)));
 #ifdef LEAST_REACH
-    float lowest[LEAST_ROWS][STRIP];
+    float lowest[LEAST_ROWS][TILE];
 #endif
-    for (int strip = x0; strip < x0 + width; strip += STRIP) {
-        const int end = min(STRIP, x0 + width - strip);
-        // The ring's row number k contains the row that is CHROMA_REACH rows above row y0 + k of the band.
-        for (int k = 0; k < y1 - y0 + 2 * CHROMA_REACH; k++) {
-            const int line = mirrored(first + y0 + k - CHROMA_REACH, frame_rows) - top, y = y0 + k - 2 * CHROMA_REACH;
-            __global const float *from = made + (size_t)line * columns, *next = from + columns + strip;
-            row_to_ring(ring + IN_RING(k), from, stride, strip, end, columns);
-            if (y < y0) {
-                for (int x = -SIDE; x < end + SIDE; x += LANES)
-                    for (int o = 0; o < 3; o++) FETCH(next + o * stride + x);
-                continue;
-            }
-            const float *place[NEIGHBOURS + 1];  // of the neighbours, and last of the pixels
-            #pragma unroll
-            for (int n = 0; n <= NEIGHBOURS; n++) place[n] = ring + IN_RING(k - CHROMA_REACH + down[n]) + SIDE + right[n];
+    // The ring's row number k contains the row that is CHROMA_REACH rows above row y0 + k of the band.
+    for (int k = 0; k < y1 - y0 + 2 * CHROMA_REACH; k++) {
+        const int line = mirrored(first + y0 + k - CHROMA_REACH, frame_rows) - top, y = y0 + k - 2 * CHROMA_REACH;
+        __global const float *from = made + (size_t)line * columns, *next = from + columns + x0;
+        row_to_ring(ring + IN_RING(k), from, stride, x0, width, columns);
+        if (y < y0) {
+            for (int x = -SIDE; x < width + SIDE; x += LANES)
+                for (int o = 0; o < 3; o++) FETCH(next + o * stride + x);
+            continue;
+        }
+        const float *place[NEIGHBOURS + 1];  // of the neighbours, and last of the pixels
+        #pragma unroll
+        for (int n = 0; n <= NEIGHBOURS; n++) place[n] = ring + IN_RING(k - CHROMA_REACH + down[n]) + SIDE + right[n];
 #ifdef LEAST_REACH
-            for (int i = y == y0 ? -LEAST_REACH : LEAST_REACH; i <= LEAST_REACH; i++) {
-                const int raw_line = within_length(first + y + i, frame_rows);
-                lowest_of_row(lowest[(k + i) % LEAST_ROWS], raw + (size_t)(raw_line - raw_first) * columns,
-                              scale + (raw_line + phase_row) % CFA_ROWS * SCALE_PERIOD, black_level, phase_column, strip, end, columns);
-            }
-            __global const ushort *next_raw =
-                raw + (size_t)(within_length(first + y + LEAST_REACH + 1, frame_rows) - raw_first) * columns + strip;
+        for (int i = y == y0 ? -LEAST_REACH : LEAST_REACH; i <= LEAST_REACH; i++) {
+            const int raw_line = within_length(first + y + i, frame_rows);
+            lowest_of_row(lowest[(k + i) % LEAST_ROWS], raw + (size_t)(raw_line - raw_first) * columns,
+                          scale + (raw_line + phase_row) % CFA_ROWS * SCALE_PERIOD, black_level, phase_column, x0, width, columns);
+        }
+        __global const ushort *next_raw =
+            raw + (size_t)(within_length(first + y + LEAST_REACH + 1, frame_rows) - raw_first) * columns + x0;
 #endif
-            for (int x = 0; x < end; x += LANES) {
-                floats own[3];
-                for (int o = 0; o < 3; o++) FETCH(next + o * stride + x + SIDE);
-                smooth_pixels(own, place, x, by_luminance, by_x, by_z);
+        for (int x = 0; x < width; x += LANES) {
+            floats own[3];
+            for (int o = 0; o < 3; o++) FETCH(next + o * stride + x + SIDE);
+            smooth_pixels(own, place, x, by_luminance, by_x, by_z);
 #ifdef LEAST_REACH
 #ifdef SHADED
-                const floats factor = gains_at(gain + (size_t)(first + y - top) * GAIN_NODES(columns), strip + x);
+            const floats factor = gains_at(gain + (size_t)(first + y - top) * GAIN_NODES(columns), x0 + x);
 #else
-                const floats factor = 1.0f;
+            const floats factor = 1.0f;
 #endif
-                FETCH(next_raw + x + LANES);
-                raise_pixels(own, place, lowest, factor, x);
+            FETCH(next_raw + x + LANES);
+            raise_pixels(own, place, lowest, factor, x);
 #endif
-                write_pixels(picture, own, matrix, (size_t)y * columns + strip + x, end - x, pixels);
-            }
+            write_pixels(picture, own, matrix, (size_t)y * columns + x0 + x, width - x, pixels);
         }
     }
 }

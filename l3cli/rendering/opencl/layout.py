@@ -561,6 +561,7 @@ class Variant:
     refinement_sources: tuple[str, ...]  # files for a refinement layer
     encoder_sources: tuple[str, ...]  # files for encoding outputs as pictures
     encoder_cut: Cut  # tiles of the encoder
+    chroma_cut: Cut  # tiles of chroma smoothing
     joins: bool  # whether one kernel can compute both classes and transforms of the first layer
     cut: Callable[[TransformTable, int], Cut]  # table, vector length → tiles of all other kernels
     pack: Callable[[Weights, int], NDArray]  # floating-point weights, vector length → array for the kernels
@@ -574,6 +575,7 @@ VARIANTS = {
         ("cpu/ingest.cl", "cpu/rows.cl", *TRANSFORM, "cpu/plane_rows.cl"),
         ("cpu/rows.cl", "cpu/encode.cl"),
         Cut(256, 48, (1, 1), 0),
+        Cut(128, 96, (1, 1), 0),
         True,
         lambda table, lanes: Cut(256, 48, (1, 1), lanes),
         pack_in_vectors,
@@ -584,6 +586,7 @@ VARIANTS = {
         (*SHARED, "gpu/frame.cl"),
         ("gpu/frame.cl",),
         ("gpu/encode.cl",),
+        Cut(64, 4, (64, 4), 1),
         Cut(64, 4, (64, 4), 1),
         False,
         _cut_for_graphics,

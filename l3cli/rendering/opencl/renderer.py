@@ -182,7 +182,7 @@ class OpenCLRenderer:
             self._shading = DeviceShading(self._kernel, self._constant, self._cut.lanes)
             self._spectra = DeviceSpectra(self._kernel, self._run, table, self.variant) if table.spectra else None
             self._chroma = (
-                DeviceChroma(self._compiler, self._run, self._constant, table, self.variant, self._cut)
+                DeviceChroma(self._compiler, self._run, self._constant, table, self.variant, self._cut.lanes)
                 if table.chroma_smoothing
                 else None
             )

@@ -1,6 +1,7 @@
 """Smooth spectra and chroma on an OpenCL device. The reference is in l3cli/rendering/reference.py."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -123,7 +124,7 @@ class DeviceChroma:
         constant: Callable[..., Any],
         table: TransformTable,
         variant: str,
-        cut: layout.Cut,
+        lanes: int,
     ) -> None:
         """Store the arguments, without compiling the kernels.
 
@@ -139,11 +140,12 @@ class DeviceChroma:
             Table with chroma smoothing.
         variant : str
             A key of layout.VARIANTS.
-        cut : layout.Cut
-            Division of a band into one tile per work-group.
+        lanes : int
+            Vector length.
         """
         assert table.chroma_smoothing is not None
-        self._compiler, self._run, self._variant, self._cut = compiler, run, variant, cut
+        self._compiler, self._run, self._variant = compiler, run, variant
+        self._cut = replace(layout.VARIANTS[variant].chroma_cut, lanes=lanes)
         smoothing, white = table.chroma_smoothing, table.white_point / table.white_point[1]
         self._factors = tuple(map(np.float32, (1 / smoothing.reach, *1 / (smoothing.likeness * white[::2]))))
         self._kernels: dict[tuple[Any, ...], Any] = {}  # `ending` macros → kernel
@@ -193,4 +195,4 @@ class DeviceChroma:
         )
         place = place_of(band, len(frame.values))
         arguments = track.made, encoding, result, *gain, *least, *self._factors, *place
-        return self._run(self._kernels[key], track, band.shape(-1), *arguments)
+        return self._run(self._kernels[key], track, band.shape(-1), *arguments, cut=self._cut)
