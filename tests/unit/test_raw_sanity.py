@@ -188,6 +188,16 @@ def test_pairs_of_rows_of_two_gains_are_another_array(first: int, ratio: float, 
         assert "dual_iso" in doubt.likely(KNOWN)[:2]
 
 
+@pytest.mark.parametrize("first", range(2))
+def test_rows_without_measurable_noise_have_two_gains_from_a_ratio_of_2_on(first: int) -> None:
+    sites = np.tile(BAYER, (120, 180))
+    for ratio, likely in ((1.2, False), (1.8, False), (2.2, True)):
+        signal = 3000 * DAYLIGHT[sites] * np.where((ROW + first) % 4 < 2, 0.5 / ratio, 0.5)
+        doubt = array_doubt(RawFrame("a", np.rint(64 + signal).astype(np.uint16), 64.0, 4095.0), np.array(BAYER, np.uint8))
+        assert (doubt is not None and "dual_iso" in doubt.likely(KNOWN)[:2]) == likely, ratio
+        assert likely or doubt is None, ratio
+
+
 @pytest.mark.parametrize("period", [8, 12, 16, 24])
 @pytest.mark.parametrize("places", [[(1, 1)], [(1, 1), (5, 5)], [(0, 0), (1, 1), (4, 4), (5, 5)]])
 def test_pixels_for_autofocus_are_no_other_array(period: int, places: list[tuple[int, int]]) -> None:
