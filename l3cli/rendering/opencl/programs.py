@@ -13,13 +13,14 @@ from l3cli.errors import RecipeError
 from l3cli.rendering.display import Display
 from l3cli.rendering.opencl import layout
 from l3cli.rendering.opencl.devices import choose_device, pyopencl, refusals
-from l3cli.rendering.opencl.processor import compiled_for
+from l3cli.rendering.opencl.processor import PLATFORM, compiled_for
 
 BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
 # Macros that limit a program to one kernel, so that unused kernels are not compiled.
 TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # transforms
 CLASSES_ONLY: layout.Macros = {"CLASSES_ONLY": 1}  # classes of the first layer
 JOINED: layout.Macros = {"JOINED": 1}  # classes and transforms of the first layer together
+WITHOUT_HEADER = "-D_OPENCL_H_"  # skips PoCL's header with the declarations of all OpenCL functions
 Key = tuple[Any, ...]
 
 
@@ -35,6 +36,9 @@ class Compiler:
         options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in macros.items())]
         if name := compiled_for(self._device):  # so that PoCL does not use cached kernels for other processors
             options.append(f"-DCOMPILED_FOR={name}")
+        if PLATFORM in self._device.platform.version:  # its header is slow to read
+            source = f"{layout.joined_files('common/builtins.cl')}\n{source}"
+            options.append(WITHOUT_HEADER)
         key = (source, *options)
         if key not in self._built:
             with warnings.catch_warnings():
