@@ -148,11 +148,14 @@ def in_all_orientations(sums: Sums, terms: int) -> Sums:
     """Average the sums over the eight orientations of a patch. Rotated and mirrored arrays then have equal errors."""
     taps = np.arange(SIDE**2 * terms).reshape(SIDE, SIDE, terms)
     behind = np.arange(taps.size, taps.size + SOFT.stop + terms)
+    turned = [np.rot90(each, turn).ravel() for each in (taps, taps.swapaxes(0, 1)) for turn in range(4)]
     moment, mean = np.zeros_like(sums["moment"]), np.zeros_like(sums["mean"])
-    for turned in (np.rot90(each, turn) for each in (taps, taps.swapaxes(0, 1)) for turn in range(4)):
-        order = np.concatenate([turned.ravel(), behind])
-        moment += sums["moment"][:, :, order[:, None], order] / 8
-        mean += sums["mean"][:, :, turned.ravel()] / 8
+    for group in np.flatnonzero(sums["patches"]):  # one matrix at a time, which fits into the cache
+        for place in range(len(moment)):
+            for each in turned:
+                order = np.concatenate([each, behind])
+                moment[place, group] += sums["moment"][place, group][order[:, None], order] / 8
+                mean[place, group] += sums["mean"][place, group, each] / 8
     return sums | {"mean": mean, "moment": moment}
 
 
