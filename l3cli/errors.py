@@ -85,10 +85,9 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """Return the end of an error message about an unknown name.
+    """Return advice for an error message about an unknown name, such as 'did you mean "width"?' or "use one of a, b, c".
 
-    The result is the question from `nearest`. If no known name is similar, the result is an instruction such as "use one of
-    a, b, c".
+    The advice is a question if a known name is similar (see `nearest`).
     """
     known = list(known)
     if close := nearest(name, known):

@@ -564,8 +564,8 @@ def _model_faults(recipe: CameraRecipe) -> Iterator[Fault]:
 def white_level(recipe: CameraRecipe) -> float:
     """Return the raw value of a saturated pixel in DN.
 
-    This is `white_level_dn` if the recipe contains it. Otherwise it is the raw value of a full well or the largest value of
-    the converter, whichever is lower.
+    This is `white_level_dn` if the recipe contains it. Otherwise it is the raw value at the full-well capacity or the
+    largest value of the analog-to-digital converter, whichever is lower.
     """
     sensor = recipe.sensor
     if sensor.white_level_dn is not None:

@@ -98,8 +98,8 @@ class PartialSums(Artifact):
         super().__post_init__()
         if not 1 <= self.shard <= self.shards or self.pass_number not in (1, 2):
             raise ValueError(
-                f"shard is {self.shard} of {self.shards} and pass_number is {self.pass_number}; shard must be between 1 and "
-                "shards, and pass_number must be 1 or 2"
+                f"shard is {self.shard}, shards is {self.shards} and pass_number is {self.pass_number}; shard must be "
+                "between 1 and the value of shards, and pass_number must be 1 or 2"
             )
         self.rule.check_fits(len(self.training.camera.channels), self.training.camera.bits)
         if len(self.white_point) != len(self.training.outputs):

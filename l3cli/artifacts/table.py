@@ -205,7 +205,7 @@ class TransformTable(Artifact):
                 "number of outputs can have only one refinement layer, and must have components, which this layer corrects"
             )
         if self.later and self.later[-1].coarse_chroma and not self.chroma_outputs:
-            raise ValueError("coarse_chroma requires components whose chroma planes each equal an output")
+            raise ValueError("coarse_chroma requires a table in which each chroma plane equals an output")
         for index, condition in enumerate(self.conditions):
             condition.check_fits(f"conditions/{index}", self.later, self.first.rule.levels)
         there = [(None, None), *((each.light and each.light.name, each.noise) for each in self.conditions)]

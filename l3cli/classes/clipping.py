@@ -28,8 +28,8 @@ SMALLEST_BLOCK = 4  # smallest side of a block in pixels
 QUAD = 2  # side of a quad in pixels
 # The degree to which a channel clips increases from 0 at the channel mean BEGINS to 1 at CLIPS (fractions of full scale).
 BEGINS, CLIPS = 0.6, 0.985
-# The replaced fraction of the outputs increases from 0 to 1 as the brightest channel's mean increases from KEPT to REPLACED
-# (fractions of full scale).
+# l3 mixes the outputs with their replacement. The weight of the replacement increases from 0 to 1 while the mean of the
+# brightest channel increases from KEPT to REPLACED (fractions of full scale).
 KEPT, REPLACED = 0.85, 0.975
 # In 3 × 3 blocks around a uniform block, the values of each channel differ by at most PLAIN. Around a textured block, they
 # differ by TEXTURED or more (fractions of full scale).

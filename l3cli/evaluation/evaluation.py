@@ -423,7 +423,7 @@ class Evaluation:
         }
 
     def _by_patch(self) -> list[dict[str, Any]]:
-        """Return each pipeline's mottle, by type of uniform patch and range of frame levels."""
+        """Return the mottle of each pipeline for each type of uniform patch and each range of the frames' mean level."""
         entries = []
         for bounds, kind in itertools.product(sorted({each for each, _, _ in self._patches}), PATCH_KINDS):
             members = [

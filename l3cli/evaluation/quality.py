@@ -17,7 +17,7 @@ from l3cli.physics.stokes import angle_difference, aolp, behind, dolp, luminance
 
 Array = NDArray[np.floating]
 BLUR = 4.0  # pixels; σ of the Gaussian that removes grain but keeps blotches
-PATCH_MARGIN_PIXELS = 6  # patches exclude pixels this close to an edge, which affects the pictures there
+PATCH_MARGIN_PIXELS = 6  # patches exclude pixels this close to an edge, because rendered edges are blurred
 MAX_UNIFORM_RANGE = 1.0  # a window is uniform if L*, a* and b* of the target each vary by at most this value
 MIN_PATCH_AREA_PIXELS = 24 * 24  # smallest area of a patch
 MAX_PATCHES = 64  # only this number of the largest patches in a frame is evaluated

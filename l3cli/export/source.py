@@ -189,7 +189,7 @@ def _features(rule: ClassRule) -> str:
 
 
 def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
-    """Return the macros of l3_table.h, without prefix: sizes of loops and arrays, and constants in formulas."""
+    """Return the macros of l3_table.h by name, without the prefix. They are sizes of loops and arrays, and constants."""
     rule, columns = table.first.rule, table.cfa.shape[1]
     group = math.lcm(columns, TAP_GROUP)
     values: dict[str, int | str] = {

@@ -61,7 +61,7 @@ class CalibrateOptions(ForceOptions, JobsOptions):
 
 @options
 class DraftOptions(CalibrateOptions):
-    """Options of l3 calibrate, including those for drafting a measurement file."""
+    """Options for l3 calibrate, including those for drafting a measurement file."""
 
     draft: OnePath = option(
         None, "Do not calibrate. Write a measurement file for the captures or tables in FOLDER.", metavar="FOLDER"
@@ -77,7 +77,7 @@ class DraftOptions(CalibrateOptions):
 
 @options
 class SimulateOptions(ForceOptions, WorkerOptions, SeedOptions):
-    """Options of l3 simulate."""
+    """Options for l3 simulate."""
 
     pictures: OnePath = option(
         None, "Also write each raw frame (TIFF) and its ideal picture (PNG) to this folder.", Output(), metavar="DIR"
@@ -145,7 +145,7 @@ class TrainOptions(ForceOptions, WorkerOptions, SeedOptions):
 
 @options
 class ShardOptions(TrainOptions):
-    """Options of l3 train, including those for training in shards."""
+    """Options for l3 train, including those for training in shards."""
 
     shard: Given[PAIR | str | None, PAIR | None] = option(
         None, "Compute only the partial sums of shard I (1 to N), for ‹merge›.", Shard(), metavar="I/N", bytes=False
@@ -190,7 +190,7 @@ class EvaluateOptions(ForceOptions, BackendOptions):
 
 @options
 class SequenceOptions(EvaluateOptions):
-    """Options of l3 evaluate, including those for evaluating a sequence."""
+    """Options for l3 evaluate, including those for evaluating a sequence."""
 
     sequence: OnePath = option(
         None,
@@ -224,7 +224,7 @@ class Brightness(Reader):
 
 @options
 class ReportOptions(ForceOptions, BackendOptions):
-    """Options of l3 report."""
+    """Options for l3 report."""
 
     at: Given[str | float | None, float | None] = option(
         None,
@@ -236,7 +236,7 @@ class ReportOptions(ForceOptions, BackendOptions):
 
 @options
 class CompareOptions(ForceOptions):
-    """Options of l3 compare."""
+    """Options for l3 compare."""
 
     figures: Given[str | Sequence[str], tuple[str, ...]] = option(
         ("scielab",),
@@ -249,7 +249,7 @@ class CompareOptions(ForceOptions):
 
 @options
 class InfoOptions(Options):
-    """Options of l3 info."""
+    """Options for l3 info."""
 
     verify: bool = option(False, "Verify every byte of FILE, and that l3 made FILE from these INPUTs.")
     version: bool = option(
@@ -259,7 +259,7 @@ class InfoOptions(Options):
 
 @options
 class ExportOptions(ForceOptions):
-    """Options of l3 export. All of them except `force` apply only to transform tables."""
+    """Options for l3 export. All of them except `force` apply only to transform tables."""
 
     form: Literal["c", "folder"] | None = option(
         None, "Tables only: write C99 source (c), or arrays with a JSON description (folder) [default: c].", flag="to"
@@ -288,14 +288,14 @@ class ExportOptions(ForceOptions):
 
 @options
 class BenchOptions(DeviceOptions):
-    """Options of l3 bench."""
+    """Options for l3 bench."""
 
     list: bool = option(False, "Only list the OpenCL devices, or explain why l3 finds none.")
 
 
 @options
 class CheckOptions(ForceOptions):
-    """Options of l3 check."""
+    """Options for l3 check."""
 
     plot: OnePath = option(
         None, "Cameras only: also plot the filter array, curves and noise to this file (.html).", Output(), metavar="FILE"
@@ -304,7 +304,7 @@ class CheckOptions(ForceOptions):
 
 @options
 class LabOptions(ForceOptions, JobsOptions, SeedOptions):
-    """Options of l3 lab."""
+    """Options for l3 lab."""
 
     recipe: OnePath = option(
         None, "Lab recipe: a file, or the name of an included recipe [default: default].", Recipe("lab"), metavar="LAB.toml"
@@ -322,14 +322,14 @@ class PartsOptions(ForceOptions, JobsOptions):
 
 @options
 class MomentsOptions(PartsOptions, SeedOptions):
-    """Options of l3 design moments."""
+    """Options for l3 design moments."""
 
     patches: int = option(4000, "Patches per scene.", Number(100, 1_000_000, "patches", whole=True), metavar="N")
 
 
 @options
 class DesignOptions(PartsOptions, SeedOptions):
-    """Options of l3 design."""
+    """Options for l3 design."""
 
     truth: int | None = option(
         None,
@@ -344,7 +344,7 @@ class DesignOptions(PartsOptions, SeedOptions):
 
 @options
 class InitOptions(ForceOptions):
-    """Options of l3 init."""
+    """Options for l3 init."""
 
     photos: Paths = option(
         (),

@@ -1,4 +1,4 @@
-"""Options of l3 render."""
+"""Options for l3 render."""
 
 import re
 from collections.abc import Sequence
@@ -124,7 +124,7 @@ PIXELS = Number(1, 1_000_000, "pixels", whole=True)
 
 @options
 class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOptions):
-    """Options of l3 render. Only one of `gain` and `gains` may be set."""
+    """Options for l3 render. Only one of `gain` and `gains` may be set."""
 
     format: str = option(
         "png",

@@ -254,7 +254,7 @@ def measure(case: Case, device: str | None = None, variant: str | None = None) -
 
 
 def measure_reference(case: Case) -> dict[str, Any]:
-    """Measure how long the reference renderer takes to render a frame. The result has the same keys as in `measure`."""
+    """Measure how long the reference renderer takes to render a frame. Return a dict with the same keys as `measure`."""
     table, frame, display = _synthetic(case)
     renderer = ReferenceRenderer(table)
     classes = _times(lambda: renderer.labels(frame))

@@ -27,9 +27,10 @@ NODES = np.array([450.0, 550.0, 650.0])  # nm; wavelengths at which polarisation
 INDEX = 1.5  # refractive index of smooth surfaces
 MAX_DEGREE = 0.95
 MATT_DEGREE = 0.1  # largest degree of matt leaves
-# Fraction of the leaves whose polarisation is drawn separately for each wavelength of NODES. Real surfaces reflect several
-# lights, such as sky and sun, whose colours and angles of polarisation differ. If most leaves were polarised equally at all
-# wavelengths, a table of a colour camera would infer the polarisation of one colour from the pixels of the other colours.
+# Fraction of the leaves whose polarisation is drawn separately for each wavelength of NODES. Real surfaces reflect light
+# from several sources, such as sky and sun, whose colours and angles of polarisation differ. If most leaves were polarised
+# equally at all wavelengths, a table of a colour camera would infer the polarisation of one colour from the pixels of the
+# other colours.
 COLOURED = 0.8
 CALM = 0.2  # fraction of scenes with weak polarisation, and also the factor that reduces their degrees of polarisation
 RIM = 0.98  # limit of the sine of the angle of incidence near the rim of smooth leaves

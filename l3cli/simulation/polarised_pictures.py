@@ -65,7 +65,10 @@ def stokes_of_pictures(content: PolarisedPictures, source: sources.PolarisedPict
         contradiction = _contradiction(residual, float(linear.mean(dtype=np.float64)))
     usual = float(np.median(stokes[0]))
     if usual > sources.MAX_MEDIAN_REFLECTANCE:
-        raise ValueError(f"the median of S0 is {usual:.3g}, although white is 1; set white to the stored value of white")
+        raise ValueError(
+            f"the median of S0 is {usual:.3g}, although white is 1; set white to the "
+            "value that the file stores for a perfect white"
+        )
     small = np.stack([shrunk(each, source.shrink) for each in stokes]).astype(np.float32)
     return _possible(small, contradiction)
 

@@ -1,6 +1,6 @@
 """Solve the normal equations of each class.
 
-If a transform is too large for the planes' integer formats, its class is solved again with a larger ridge
+If the transform of a class is too large for the planes' integer formats, it is computed again with a larger ridge
 (docs/method.md#transforms-that-are-too-large).
 """
 

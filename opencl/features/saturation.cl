@@ -19,7 +19,8 @@ INLINE uints case_of(patterns code, __global const ushort *case_of_code) {
     return LOAD_PRIVATE(uints, saturation);
 }
 
-// Whether any of LANES pixels may have a saturation case other than 0. This is rare, so the slow lookup is usually skipped.
+// Return whether any of LANES pixels may have clipped channels in its patch (a saturation case other than 0). This is rare,
+// so the slow lookup is usually skipped.
 INLINE bool any_case(patterns code, __global const ushort *case_of_code) {
     ulong word[LANES / 4], all = 0;
     *(shorts_unaligned *)word = code;

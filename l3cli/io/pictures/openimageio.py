@@ -141,7 +141,7 @@ def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
     The libraries do not write to disk directly, because on a full disk, the JPEG library would abort the program and the PNG
     library would not report an error. Raises L3Error if the pixels cannot be encoded.
     """
-    spec.attribute("DateTime", "")  # no timestamp, so that equal inputs result in equal bytes
+    spec.attribute("DateTime", "")  # no timestamp, so that the same picture always has the same bytes
     with open(os.memfd_create("picture"), "rb", buffering=0) as memory:
         sink = oiio.ImageOutput.create(f"picture{Path(name).suffix}")  # `name` might not be valid UTF-8
         if sink is None:

@@ -100,7 +100,7 @@ class DeviceCoarseChroma:
 
 
 class DeviceClipping:
-    """Kernels and buffers for the correction of clipped areas. The kernels are compiled for the first frame."""
+    """Kernels and buffers for the correction of clipped areas. The kernels are compiled when the first frame is rendered."""
 
     def __init__(
         self, kernel: Callable[..., Any], run: Callable[..., Any], constant: Callable[..., Any], table: TransformTable,

@@ -430,10 +430,11 @@ class OpenCLRenderer:
         work.add("structures", self._run(self._programs.classes(number + 1), track, made, *buffers, np.int32(rows)))
 
     def _reads(self, number: int, track: Track, band: Band, frame: RawFrame) -> tuple[tuple[Any, ...], tuple[np.int32, ...]]:
-        """Return the first and last arguments of the kernel that applies a layer's transforms.
+        """Return two groups of arguments of the kernel that applies a layer's transforms.
 
-        The first arguments are the raw values or planes, the index buffers for padding, and the class map. If the kernel
-        also classifies the pixels, they include the class rule. The last arguments are integers.
+        The first group consists of the raw values or planes, the index buffers for padding, and the class map. If the kernel
+        also classifies the pixels, the first group includes the class rule. The second group consists of integers, which are
+        the last arguments of the kernel.
         """
         if self._joined and not number:
             return self._decides(track, band), self._site(band, frame)

@@ -466,7 +466,8 @@ def _white(outputs: Array) -> NDArray[np.float64]:
     if not (np.isfinite(outputs).all() and outputs.min() > 0):
         shown = ", ".join(f"{each:.3g}" for each in outputs)
         raise InputFileError(
-            f"the table renders the grey area to XYZ {shown}, which must be positive; use a table for this camera"
+            f"the table renders the grey area as X, Y, Z = {shown}, but all three must be positive; "
+            "use a table for this camera"
         )
     return np.asarray(outputs, np.float64)
 

@@ -29,7 +29,7 @@ class FrameTask:
 
     reference: FrameReference
     place: int  # position in the sequence, counted from 0
-    is_finished: bool = False  # whether no rendering is needed, because the picture exists or is not wanted
+    is_finished: bool = False  # whether the frame can be skipped, because its picture exists or is not wanted
     is_counted: bool = True  # whether a picture of the frame is wanted; if not, other frames may still depend on it
     is_filtered: bool = False  # whether the temporal filter processes the frame
     frame: RawFrame | None = None  # None if a worker reads the frame, if the frame is not needed, or after an error
