@@ -11,10 +11,9 @@ import l3cli
 from l3cli.artifacts.store import save
 from l3cli.io.images import read_image
 from l3cli.rendering import renderer as renderers
-from tests.helpers import still_scene
 from tests.helpers.calls import L3
 from tests.helpers.readme import PAGES, fenced
-from tests.helpers.sequences import COUNT, RGGB, frames, write_raw_video
+from tests.helpers.sequences import COUNT, RGGB, frames, with_row_noise, write_raw_video
 from tests.helpers.tables import with_low_noise
 
 vs: Any = pytest.importorskip("vapoursynth", reason='has wheels for Python ≥ 3.12 alone: "make vapoursynth"')
@@ -125,16 +124,17 @@ def test_frames_filtered_in_time_are_those_of_the_command_in_any_order(
 
     monkeypatch.setattr(chunks, "CHUNK", 3)
     monkeypatch.setattr(chunks, "LEAD", 1)
-    np.save(tmp_path / "still.npy", still_scene.mosaics())
-    save(with_low_noise(still_scene.TABLE), tmp_path / "table.h5")
+    table, still = with_row_noise()
+    np.save(tmp_path / "still.npy", still)
+    save(with_low_noise(table), tmp_path / "table.h5")
     call = ("render", tmp_path / "table.h5", tmp_path / "still.npy", "-o", tmp_path / "out", "--temporal", "--exposure", 0.7)
     assert l3(*call)[0] == 0
     expected = [read_image(path)[0] for path in sorted((tmp_path / "out").glob("*.png"))]
     vs.core.num_threads, before = threads, vs.core.num_threads
-    raw = mosaics(still_scene.mosaics())
+    raw = mosaics(still)
     options: Any = {"exposure": 0.7, "temporal": True}
     in_order = [pixels(frame) for frame in render(raw, tmp_path / "table.h5", **options).frames()]
-    asked = [*range(still_scene.COUNT)] * 3
+    asked = [*range(COUNT)] * 3
     random.Random(2).shuffle(asked)
     jumping = render(raw, tmp_path / "table.h5", **options)
     waiting = [(number, jumping.get_frame_async(number)) for number in asked]
@@ -144,6 +144,10 @@ def test_frames_filtered_in_time_are_those_of_the_command_in_any_order(
     assert all(np.array_equal(picture, expected[number]) for number, picture in got)
     alone = pixels(render(raw, tmp_path / "table.h5", exposure=0.7).get_frame(2))
     assert (alone != expected[2]).any()
+    renderer = l3cli.Renderer(with_low_noise(table))
+    corrected = l3cli.raw_frame(still[2], renderer.table)
+    assert (corrected.values != still[2]).any()
+    np.testing.assert_array_equal(alone, renderer.picture(corrected, exposure=0.7))
 
 
 def test_floating_point_is_linear_and_states_it(folder: Path) -> None:

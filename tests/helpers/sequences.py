@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 import tifffile
 
+from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
 from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.rendering.temporal.chunks import Chunks
-from tests.helpers.cameras import BAYER
+from tests.helpers.cameras import BAYER, random_camera
 from tests.helpers.tables import random_table
 
 RGGB = dataclasses.replace(random_table(BAYER, bits=12, black_level=64.0), camera_name="RGGB", rows=20, cols=28)
@@ -29,6 +30,17 @@ def frames(count: int = COUNT) -> np.ndarray:
     rng = np.random.default_rng(0)
     light = np.linspace(0.4, 0.9, count)[:, None, None]
     return np.clip(64 + 4031 * light * rng.uniform(0.3, 1, (count, RGGB.rows, RGGB.cols)), 0, 4095).astype(np.uint16)
+
+
+def with_row_noise() -> tuple[TransformTable, np.ndarray]:
+    """Return the table of a camera with row noise, and mosaics (frame, row, col) of a still scene with this noise."""
+    rng, rows, cols = np.random.default_rng(1), 20, 192
+    camera = random_camera(BAYER, 3, 12, RGGB.black_level)
+    noise = dataclasses.replace(camera.noise, row_temporal_noise=camera.noise.read_noise)
+    camera = dataclasses.replace(camera, noise=noise, rows=rows, cols=cols)
+    electrons = rng.poisson(400.0, (COUNT, rows, cols)) + rng.normal(0, noise.row_temporal_noise, (COUNT, rows, 1))
+    values = np.rint(camera.gain * electrons + camera.black_level).astype(np.uint16)
+    return dataclasses.replace(RGGB, camera=camera, rows=rows, cols=cols), values
 
 
 def write_frames(folder: Path) -> Path:
