@@ -902,6 +902,12 @@ class CameraModel(Artifact):
             column_noise=noise.column_noise * across,
         )
 
+    @property
+    def offset_noise(self) -> float:
+        """Standard deviation in e- of the row and column offsets, fixed and temporal, that remain after their correction."""
+        noise = self.corrected_noise()
+        return float(np.sqrt(noise.lines + noise.row_noise**2 + noise.column_noise**2))
+
     def as_corrected(self) -> "CameraModel":
         """Return the camera model that applies to frames after the correction of row and column offsets.
 

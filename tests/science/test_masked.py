@@ -97,6 +97,8 @@ def test_frames_without_masked_pixels_stay_and_are_warned_of(bayer: CameraModel)
     np.testing.assert_array_equal(frame.values, values)
     assert len(frame.notes) == 1
     assert "masked pixels" in frame.notes[0]
+    for each in (camera, dataclasses.replace(camera, masked=None)):  # noise that training assumes, and that remains here
+        assert f"{each.offset_noise:.2g} e-" in frame.notes[0]
     quiet = with_noise(bayer, row_temporal_noise=0.0)
     assert not frame_of("one", {"values": values}, quiet, RawOverrides()).notes
 

@@ -331,10 +331,11 @@ def _without_masked(content: RawContent, table: Sensor) -> tuple[RawContent, Mas
         return content, None, (0, 0)
     if parts is None:
         rows, cols = camera.masked.around(camera.rows, camera.cols)
+        left = replace(camera, masked=None).offset_noise
         note = (
             f"the frame does not include the sensor's masked pixels ({rows}×{cols} pixels in total), so row and column "
-            "offsets are estimated from the picture, which leaves more noise; use uncropped frames, unless your camera has "
-            "already subtracted the offsets"
+            f"offsets are estimated from the picture, which leaves about {left:.2g} e- of them instead of "
+            f"{camera.offset_noise:.2g} e-; use uncropped frames, unless your camera has already subtracted the offsets"
         )
         return {**content, "notes": (*content.get("notes", ()), note)}, None, (0, 0)
     content = {**content, "values": parts[0]}
