@@ -98,7 +98,7 @@ class StoredFeatures:
     def check(self, patch: int) -> None:
         """Raise ValueError unless the arrays describe valid features of `patch` × `patch` pixels."""
         if not self.names or len(set(self.names)) != len(self.names):
-            raise ValueError("names must contain at least one feature and must not contain a feature twice")
+            raise ValueError("names must contain at least one feature, and every feature only once")
         if (self.sizes < 1).any() or math.prod(self.sizes.tolist()) > MAX_COMBINATIONS:
             raise ValueError(f"sizes must be positive, and their product must be at most {MAX_COMBINATIONS}")
         counts = ((self.window_counts, len(self.windows)), (self.constant_counts, len(self.constants)))

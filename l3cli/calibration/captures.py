@@ -560,7 +560,9 @@ def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body
 
 
 def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Fit each patch's signal per second, and predict each capture from the other captures with the same filter.
+    """Fit the signal per second of each patch behind each filter.
+
+    Each capture is also predicted from the other captures that were taken with the same filter.
 
     Returns
     -------

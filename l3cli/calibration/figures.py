@@ -339,7 +339,7 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
     """
     if camera.channels != truth.channels:
         raise InputFileError(
-            f"the true camera has the channels {' '.join(truth.channels)}, but the measured camera has "
+            f"the camera in ‹truth› has the channels {' '.join(truth.channels)}, but the measured camera has "
             f"{' '.join(camera.channels)}; set ‹truth› to the camera that was measured"
         )
     real = spectra.average(truth.responsivity, truth.wavelength, camera.wavelength)

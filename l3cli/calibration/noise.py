@@ -355,7 +355,7 @@ def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[
 def linearity_errors(
     levels: Sequence[Level], mean: Array, used: NDArray[np.bool_], dark: DarkNoise, white_level: float
 ) -> Array:
-    """Return each channel's linearity error LE of EMVA 1288, as a fraction.
+    """Return the linearity error of each channel (LE in EMVA 1288), as a fraction.
 
     LE is the signal's mean relative deviation from a line. If fewer than three exposures are usable, it is set to 0.
     """
@@ -487,7 +487,7 @@ def relative_deviation(site: Array) -> tuple[Array, Array]:
 def _response_lines(
     deviations: Sequence[tuple[Array, Array]], levels: Sequence[Level], weights: Array, body: Body
 ) -> tuple[LineNoise, LineNoise]:
-    """Estimate the row and column PRNU, the differences in response that all pixels of a line share.
+    """Estimate the PRNU of rows and columns: differences in response that all pixels of a row or column share.
 
     Parameters
     ----------

@@ -193,9 +193,10 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
-    """Return the constants for chroma.cl: one row per chroma, and a last row in which all weights are 1.
+    """Return the constants for chroma.cl: one row for each chroma class, and a last row in which all weights are 1.
 
-    Each row contains the score's initial value, the dither width, and the weights of all channels. Pairs of 16-bit weights
+    chroma.cl computes a score for each class, and the class with the best score wins. Each row contains the initial value of
+    the score, the dither width, and the weights of all channels. Pairs of 16-bit weights
     are packed into 32-bit integers.
     """
     weights = np.concatenate([rule.chroma_weights, np.ones((1, rule.channels), np.int32)])

@@ -102,7 +102,7 @@ class LevelRecipe(Recipe):
 
 
 class OptimiseRecipe(Recipe):
-    """Section [optimise]: the filter array whose Gaussian filters are optimised."""
+    """Section [optimise]: describes the filter array for which l3 optimises Gaussian filters."""
 
     pattern: list[str]  # rows of filter names
     peaks: bool = False  # whether to optimise the peaks in addition to the centres and widths
@@ -243,7 +243,7 @@ def level_name(level: LevelRecipe) -> str:
 
 
 def curve_files(recipe: DesignRecipe, folder: Path) -> list[Path]:
-    """List the files with curves in a recipe in `folder`."""
+    """List the files with curves that a design recipe names. The names are relative to `folder`."""
     names = (*(one.file for one in recipe.filters.values()), recipe.pixel.bare)
     return [folder / name for name in names if isinstance(name, str)]
 

@@ -223,10 +223,10 @@ def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosai
 
 
 def develop_stokes(frame: TrainingPair, camera: CameraModel, demosaic: Demosaic) -> Array:
-    """Compute S1, S0 and S2 of each pixel from a raw frame of a monochrome polarisation camera.
+    """Compute S1, S0 and S2 (in this order) of each pixel from a raw frame of a monochrome polarisation camera.
 
-    After demosaicking as in `develop_bands`, the Stokes parameters are the least-squares solution for the polarisers' angles
-    and extinction ratios.
+    The frame is demosaicked as in `develop_bands`. The Stokes parameters of a pixel are then fitted to its intensities by
+    least squares. The angles and extinction ratios of the polarisers are known.
 
     Parameters
     ----------
@@ -248,7 +248,10 @@ def develop_stokes(frame: TrainingPair, camera: CameraModel, demosaic: Demosaic)
 
 
 def stokes_response(frame: TrainingPair, camera: CameraModel) -> Array:
-    """Return each channel's response to S0, S1 and S2 of the illuminant, (channel, stokes), relative to S0."""
+    """Return each channel's responses to S0, S1 and S2 of the illuminant, relative to its response to S0.
+
+    The result has the shape (channel, 3).
+    """
     light = light_of(frame, camera)
     radiance = spectra.sampling_matrix(light.wavelength, camera.wavelength) @ light.radiance
     response = (camera.stokes_weights @ radiance).T

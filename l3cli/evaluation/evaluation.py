@@ -226,7 +226,7 @@ class Evaluation:
         return (OURS, *self._baselines, *(ESTIMATES if self._estimates else ()), *self._rivals)
 
     def planes(self, frame: TrainingPair, outputs: Array, rivals: Mapping[str, Array] | None = None) -> dict[str, Array]:
-        """Return every pipeline's result for a frame.
+        """Return the pictures of a frame from all pipelines that are compared.
 
         Parameters
         ----------

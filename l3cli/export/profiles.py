@@ -100,8 +100,8 @@ class LightMatrices:
 def light_matrices(camera: CameraModel, light: str) -> LightMatrices | None:
     """Fit the colour matrices of a camera for a named illuminant.
 
-    The result is None if fewer than three channels have different responsivities, or if a channel's response to grey is
-    below DIMMEST times the most sensitive channel's response.
+    The result is None if the camera has fewer than three channels with different responsivities, or if a channel's response
+    to grey is less than DIMMEST times the response of the most sensitive channel.
     """
     neutral, balanced = _responses(camera, light)
     if neutral.min() < DIMMEST or _colours_of(camera) < MIN_COLOURS:

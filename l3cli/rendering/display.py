@@ -161,7 +161,7 @@ def require_known_layers(table: TransformTable) -> None:
 
 
 def encode(planes: NDArray, display: Display) -> NDArray:
-    """Encode the first three planes (output, row, col), X, Y and Z, as a picture (row, col, 3).
+    """Encode X, Y and Z as a picture.
 
     All steps before rounding are computed in float64.
     """

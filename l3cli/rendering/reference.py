@@ -117,7 +117,7 @@ class ReferenceRenderer:
         return [self._sets.first_fixed_point, *(refined_fixed_point(layer, basis) for layer in self._sets.later[:-1])]
 
     def _labels(self, levelled: RawFrame) -> Integers:
-        """Classify every pixel of a frame from `at_table_levels` for the first layer.
+        """Return the first-layer class of every pixel. The frame must be the result of `at_table_levels`.
 
         Classes are numbered consecutively over all sets of transforms.
         """

@@ -171,7 +171,9 @@ ERROR_KEY = (  # legend of the error maps from l3cli.evaluation.pictures
 )
 SAME_LUMINANCE = 0.01  # relative tolerance when luminances are compared, because users round values in lux
 FRAMES_SHOWN = 3  # number of frames in the top section: the median, worst and best frame
-Pictures = dict[int, dict[str, Pixels]]  # index of a frame → name → picture (a pipeline, "ideal", or the error map "error")
+Pictures = dict[
+    int, dict[str, Pixels]
+]  # pictures by frame index and by name: the name of a pipeline, "ideal" or "error" (error map)
 
 
 def evaluation_section(document: dict[str, Any], names: tuple[str, str], height: int) -> Section:

@@ -264,9 +264,9 @@ class CurveTable:
         Parameters
         ----------
         per_energy : bool
-            Whether the responsivities are per energy (for example in A/W) instead of per photon.
+            Whether the responsivities are relative to energy (for example in A/W) instead of photons.
         key : str
-            Recipe key of `per_energy`, for messages.
+            Key in the recipe that sets `per_energy`. Error messages name it.
 
         Returns
         -------

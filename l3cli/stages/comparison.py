@@ -76,7 +76,7 @@ def _read(path: Path) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError) as error:
         raise InputFileError(f"{path} is not a JSON file; {EXPECTED}") from error
     if not isinstance(document, dict):
-        raise InputFileError(f"{path} is not an evaluation; {EXPECTED}")
+        raise InputFileError(f"{path} is not a result of l3 evaluate; {EXPECTED}")
     return document
 
 

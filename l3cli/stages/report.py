@@ -268,7 +268,7 @@ def _warn_of_cameras(given: Given, console: Console) -> None:
     for entry, camera in cameras if tables else [*cameras, *held]:
         if entry is not known[0][0] and (differences := unlike(known[0][1], camera)):
             text = f"the cameras differ in {differences}; make a separate report for each camera"
-            console.warn(f"{entry.name} has a different camera from {known[0][0].name}: {text}")
+            console.warn(f"{entry.name} and {known[0][0].name} are for different cameras: {text}")
 
 
 # ------------------------------------------------------------------------------------------------------ evaluation

@@ -349,7 +349,7 @@ def _dark_signal(frame: TrainingPair, camera: CameraModel) -> float:
 
 
 def _unit_white(frame: TrainingPair, outputs: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return the outputs of a frame's white, scaled to a brightness of 1 (see `brightness_of`).
+    """Return the target outputs of a perfect white in a frame, scaled to a brightness of 1 (see `brightness_of`).
 
     Raises InputFileError if the white is black or does not have one value per output.
     """

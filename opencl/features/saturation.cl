@@ -9,7 +9,7 @@ INLINE bool any_case(patterns code, __global const ushort *case_of_code) { retur
 #else
 typedef shorts patterns;
 
-// Looks up the saturation cases of LANES pixels, one by one.
+// Look up which channels clip around LANES pixels (their saturation cases), one by one.
 INLINE uints case_of(patterns code, __global const ushort *case_of_code) {
     uint saturation[LANES];
     ushort pattern[LANES];

@@ -50,10 +50,10 @@ def codes_of(letters: str) -> NDArray[np.int64]:
 
 
 def channel_codes(channels: Sequence[str]) -> NDArray[np.uint8]:
-    """Return a unique colour code for each channel, (channel,).
+    """Return an array with a unique colour code for each channel.
 
-    If TIFF/EP defines a code for the channel name, and no earlier channel has this code, the channel gets it. Otherwise the
-    channel gets a code that TIFF/EP does not assign.
+    This is the TIFF/EP code for the channel name if there is one and no earlier channel has it. Otherwise it is a code that
+    TIFF/EP does not assign.
     """
     codes: list[int] = []
     for index, name in enumerate(channels):

@@ -373,7 +373,7 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
     if values.size == 0:
         raise InputFileError(f"{name} contains no pixels; use a raw file")
     if values.ndim != 2:
-        raise InputFileError(f"{name} contains an array of shape {values.shape}; use an array of rows × columns")
+        raise InputFileError(f"{name} contains an array of shape {values.shape}; use an array with rows and columns only")
     require_picture(name, *values.shape)
     refuse_faults(name, content, [each.name for each in fields(known) if getattr(known, each.name) is not None])
     dn = as_dn(values)
