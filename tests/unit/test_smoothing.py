@@ -31,7 +31,7 @@ from l3cli.rendering.reference import (
 )
 from l3cli.training.recipe import LearningRecipe, learning_faults
 from l3cli.training.summary import insight, learned
-from tests.helpers.cameras import BAYER
+from tests.helpers.cameras import BAYER, FIVE_BAND
 from tests.helpers.rendered import TABLES
 from tests.helpers.tables import (
     frame_of_all_levels,
