@@ -17,15 +17,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 
+from l3cli.artifacts.store import save
 from l3cli.cli import run
 from l3cli.errors import L3Error, RecipeError
 from l3cli.parallel import cluster as elsewhere
 from l3cli.parallel import workers
 from l3cli.parallel.cluster import Scheduler
+from l3cli.physics.stokes import STOKES
 from l3cli.system.limits import ONE_BLAS_THREAD
 from tests.helpers.calls import L3, Refused
+from tests.helpers.cameras import BAYER
 from tests.helpers.paths import PYTHONPATH
+from tests.helpers.tables import random_table
 from tests.helpers.tasks import PATIENCE, refusing, squared, stopping_once
 
 WORKERS = 2
@@ -223,6 +228,23 @@ def test_render_gives_the_same_bytes(cluster: Cluster, made: Path, tmp_path: Pat
     for name, there in (("filtered", ()), ("filtered_there", where)):
         assert l3("render", *frames(made), "--exposure", 1, "--temporal", "-o", tmp_path / name, *there)[0] == 0
     assert _content(tmp_path / "filtered") == _content(tmp_path / "filtered_there")
+
+
+@pytest.mark.parametrize(("shown", "name"), [("dolp", "video.mkv"), ("aolp", "pages.tif"), ("stokes", "video.y4m")])
+def test_pictures_of_polarisation_give_the_same_bytes(
+    shown: str, name: str, cluster: Cluster, made: Path, tmp_path: Path, l3: L3
+) -> None:
+    """They are wider than the frames, since colour bars and panels are beside them. Here the frames are also rotated."""
+    save(random_table(BAYER, patch=3, outputs=STOKES), tmp_path / "table.h5")
+    (tmp_path / "frames").mkdir()
+    for file in (made / "frames").iterdir():
+        values = np.fromfile(file, "<u2").reshape(ROWS, COLS)
+        tifffile.imwrite(tmp_path / "frames" / f"{file.stem}.tif", values, extratags=[(274, "H", 1, 6, True)])
+    command = ("render", tmp_path / "table.h5", tmp_path / "frames", "--show", shown)
+    for folder, where in (("place", ()), ("there", ("--scheduler", cluster.address))):
+        code, _, err = l3(*command, "-o", tmp_path / folder / name, *where)
+        assert code == 0, err
+    assert (tmp_path / "place" / name).read_bytes() == (tmp_path / "there" / name).read_bytes()
 
 
 def test_a_broken_frame_is_named_or_left_out(cluster: Cluster, made: Path, tmp_path: Path, l3: L3) -> None:

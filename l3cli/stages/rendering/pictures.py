@@ -184,9 +184,14 @@ def _is_made(job: tuple[RenderSetup, FrameTask], made: Any) -> bool:
         return True
     if setup.suffix is not None:
         return isinstance(made, bytes) and len(made) > 0
-    pixels: NDArray[Any] = made.pixels
-    of_frame = task.frame is None or sorted(pixels.shape[:2]) == sorted(task.frame.values.shape)  # pictures may be rotated
-    return isinstance(made, Picture) and of_frame and (setup.rendition.raw or 8 * pixels.itemsize == setup.rendition.bits)
+    rendition, pixels = setup.rendition, made.pixels
+    of_frame = True
+    if task.frame is not None:
+        rows, cols = upright(task.frame.values, task.frame.orientation).shape
+        # Pictures of polarisation are wider than the frame, because a colour bar, and perhaps more panels, are beside it.
+        width_fits = pixels.shape[1] == cols if rendition.polarisation is None else pixels.shape[1] > cols
+        of_frame = pixels.shape[0] == rows and width_fits
+    return isinstance(made, Picture) and of_frame and (rendition.raw or 8 * pixels.itemsize == rendition.bits)
 
 
 def _read_by_worker(task: FrameTask, setup: RenderSetup, table: TransformTable) -> FrameTask:
