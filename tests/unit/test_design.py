@@ -213,8 +213,16 @@ def test_more_light_is_less_error_until_it_clips(moments: LightMoments) -> None:
 
 
 def test_designs_have_the_noise_of_cameras(fiveband: CameraModel) -> None:
-    """Designs have a formula of their own. A new noise term must be part of both formulas."""
-    noise, (constant, linear, quadratic) = noise_of(fiveband), fiveband.noise_terms()
-    assert constant == pytest.approx(noise.floor * fiveband.gain**2, rel=1e-9)
-    assert linear == pytest.approx(fiveband.gain, rel=1e-9)
+    """Designs have a formula of their own. Each noise parameter, and each new one, must be part of both formulas."""
+    names = [each.name for each in dataclasses.fields(fiveband.noise) if each.name != "well_capacity"]
+    values = {name: getattr(fiveband.noise, name) or 0.01 for name in names}
+    camera = dataclasses.replace(fiveband, noise=dataclasses.replace(fiveband.noise, **values))
+    noise, (constant, linear, quadratic) = noise_of(camera), camera.noise_terms()
+    assert constant == pytest.approx(noise.floor * camera.gain**2, rel=1e-9)
+    assert linear == pytest.approx(camera.gain, rel=1e-9)
     assert quadratic == pytest.approx(noise.uneven, rel=1e-9)
+    assert camera.line_variances() == pytest.approx(np.multiply((noise.rows, noise.columns), camera.gain**2), rel=1e-9)
+    for name, value in values.items():
+        less = dataclasses.replace(camera, noise=dataclasses.replace(camera.noise, **{name: value / 2}))
+        assert noise_of(less) != noise, name
+        assert less.noise_terms(less.dark_signal(1.0)) != camera.noise_terms(camera.dark_signal(1.0)), name
