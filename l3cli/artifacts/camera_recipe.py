@@ -535,7 +535,7 @@ def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
         yield from share_faults(recipe.responsivity.peak_efficiency, "responsivity.peak_efficiency", 1.0)
     if recipe.gain is not None:
         yield from gain_faults(recipe.gain, noise.read_noise_e)
-    yield from prnu_faults(noise, "noise")
+    yield from relative_noise_faults(noise, "noise")
     yield from length_faults(sensor.pixel_pitch_um, optics)
     yield from cfa_faults(recipe.cfa)
     yield from masked_faults(recipe.masked, recipe.channel)
@@ -544,8 +544,8 @@ def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
     yield from _model_faults(recipe)
 
 
-def prnu_faults(noise: NoiseRecipe, section: str) -> Iterator[Fault]:
-    """Find PRNUs that are too large to be corrected, in the section `section` of a recipe."""
+def relative_noise_faults(noise: NoiseRecipe, section: str) -> Iterator[Fault]:
+    """Find relative noise values, such as PRNU, that are too large to be corrected, in the section `section` of a recipe."""
     for key in ("prnu", "row_prnu", "column_prnu"):
         yield from share_faults(getattr(noise, key), f"{section}.{key}", MAX_PRNU)
 

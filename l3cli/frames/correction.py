@@ -168,13 +168,13 @@ class Correction:
 def correction_of(camera: CameraModel) -> Correction:
     """Return the corrections for a camera's frames.
 
-    Raises InputFileError if the camera has neither a defect map nor a flat field nor a polariser field, or if too many
+    Raises InputFileError if the camera has no defect map, no flat field and no polariser field, or if too many
     pixels are defective.
     """
     if camera.defects is None and camera.flat_field is None and camera.polariser_field is None:
         raise InputFileError(
-            f"camera {camera.name} has neither a defect map nor a flat field; calibrate the camera with dark and white "
-            "frames"
+            f"camera {camera.name} has no defect map, no flat field and no polariser field; calibrate the camera with dark "
+            "frames, white frames or, if its pixels have polarisers, frames of a rotating polariser"
         )
     shape, bad_pixels = (camera.rows, camera.cols), None
     if camera.defects is not None and camera.defects.position.size:

@@ -27,7 +27,7 @@ from l3cli.artifacts.camera_recipe import (
     masked_faults,
     masked_recipe,
     optics_recipe,
-    prnu_faults,
+    relative_noise_faults,
     settings_of,
 )
 from l3cli.physics.mosaic import array_rows
@@ -389,7 +389,7 @@ def _datasheet_faults(declared: DatasheetRecipe, most: int) -> Iterator[Fault]:
         yield fault(
             f"[datasheet] must satisfy 0 ≤ black_level_dn < white_level_dn ≤ {most}; correct these keys", "datasheet"
         )
-    yield from prnu_faults(declared, "datasheet")
+    yield from relative_noise_faults(declared, "datasheet")
 
 
 def _source_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:

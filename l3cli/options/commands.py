@@ -282,7 +282,7 @@ class ExportOptions(ForceOptions):
     )  # fmt: skip
     prefix: str | None = option(None, "C source only: prefix of all symbols and file names [default: l3].", metavar="NAME")
     which: Literal["usual", "low-noise"] | None = option(
-        None, "C source of tables with two sets of transforms only: the set to write [default: usual].", flag="set"
+        None, "C source only: the set of transforms to write, if the table has two sets [default: usual].", flag="set"
     )
 
 

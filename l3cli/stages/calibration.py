@@ -104,7 +104,8 @@ def calibrate(
         for doubt in figures.doubts(camera):
             console.warn(doubt)
         if shortfall:
-            console.info(f"the model is accepted although {shortfall.partition(';')[0]}")
+            fault, _, _ = shortfall.partition(";")
+            console.info(f"the camera model is saved despite a fault, because ‹accept› is set: {fault}")
         if result["saturation reached"] is False:
             console.info(
                 "no white frame saturates, so the highest code of the converter is used as the white level; to measure the "

@@ -224,8 +224,8 @@ def _refuse(recipe: SceneRecipe, path: Path) -> None:
         )
     if any(isinstance(each, Spectral) and each.holds != "reflectance" and each.light is None for each in recipe.scene):
         raise RecipeError(
-            f'{path}: moments need reflectances, but a scene contains radiances; add the key "light" with the illuminant of '
-            "the scene"
+            f'{path}: moments can be computed only from reflectances, but a scene contains radiances; add the key "light" '
+            "with the illuminant of the scene"
         )
     if recipe.lens.transmittance is not None:
         raise RecipeError(

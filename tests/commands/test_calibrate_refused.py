@@ -154,7 +154,7 @@ def test_a_lost_channel_is_named_by_the_validation(copied: Path, tmp_path: Path,
     assert "--accept" in line
     code, _, err = l3(*command, "--accept")
     assert code == 0
-    assert "accepted although the validation of channel r" in err
+    assert "because --accept is set: the validation of channel r" in err
     assert load(CameraModel, tmp_path / "camera.h5").history[0].options == {"accept": True}
 
 

@@ -249,7 +249,7 @@ def test_an_odd_step_can_be_accepted(copied: Path, tmp_path: Path, refused: Refu
     assert frame in line
     code, _, err = l3(*command, "--accept")
     assert code == 0
-    assert f"accepted although {frame}" in err
+    assert f"because --accept is set: {frame}" in err
     fit = load(CameraModel, tmp_path / "camera.h5").fit
     assert fit is not None
     assert fit.sweep is not None

@@ -125,7 +125,7 @@ def partly_polarised(camera: CameraModel) -> LabCapture:
     """A capture of uniform light with the degree DEGREE at ANGLE, without falloff."""
     capture = next(each for each in plan(camera, LabRecipe(), 7) if each.kind == "polariser")
     assert capture.unpolarised is not None
-    stokes = tuple(float(DEGREE * f(2 * np.radians(ANGLE))) for f in (np.cos, np.sin))
+    stokes = DEGREE * float(np.cos(2 * np.radians(ANGLE))), DEGREE * float(np.sin(2 * np.radians(ANGLE)))
     along, across = capture.unpolarised
     assert camera.polarisers is not None
     twice = 2 * np.radians(camera.polarisers.polariser_deg)

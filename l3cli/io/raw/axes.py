@@ -61,11 +61,11 @@ def frame_axes(name: str, shape: Sequence[int], names: Sequence[str] = (), usual
     InputFileError
         If an axis contains the channels of a picture, or if an unnamed last axis probably contains channels or frames.
     """
-    array = f"{name} is an array of {'×'.join(map(str, shape))} values"
+    array = f"the array {name} ({'×'.join(map(str, shape))} values)"
     meanings = [MEANING.get(re.sub("[^a-z]", "", each.lower()), "") for each in names]
     if "channel" in meanings:
         channel = names[meanings.index("channel")]
-        raise InputFileError(f'{array}, whose axis "{channel}" contains the channels of a picture; {GIVE}')
+        raise InputFileError(f'{array} has an axis "{channel}", which contains the channels of a picture; {GIVE}')
     wanted = ("frame", "row", "col")[3 - len(shape) :]
     if sorted(meanings) == sorted(wanted):
         return Axes(meanings.index("frame") if len(shape) == 3 else None, meanings.index("row"), meanings.index("col"))
@@ -74,7 +74,7 @@ def frame_axes(name: str, shape: Sequence[int], names: Sequence[str] = (), usual
     if meanings[:1] == ["frame"]:
         return STACK
     if shape[2] <= MOST_CHANNELS and usual is None:
-        raise InputFileError(f"{array}, which looks like a picture with {counted(shape[2], 'channel')}; {GIVE}")
+        raise InputFileError(f"{array} looks like a picture with {counted(shape[2], 'channel')}; {GIVE}")
     if usual is None and FRAMES_LAST * shape[2] <= min(shape[:2]):
-        raise InputFileError(f"{array}, whose last axis probably contains frames; save the array as {COUNTED}")
+        raise InputFileError(f"the last axis of {array} probably contains frames; save the array as {COUNTED}")
     return usual or STACK

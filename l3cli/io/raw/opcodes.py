@@ -196,8 +196,12 @@ def _warps(opcode: Opcode, planes: Sequence[int], area: tuple[int, int]) -> list
     *numbers, across, down = struct.unpack(f">{6 * count + 2}d", opcode.content[4:])
     terms = np.reshape(numbers, (count, 6))
     factors = np.polynomial.polynomial.polyval(np.linspace(0, 1, 65), terms[:, :4].T)
-    if not (0 <= down <= 1 and 0 <= across <= 1 and np.isfinite(terms).all() and np.abs(terms[:, 4:]).max() <= 1):
-        raise ValueError("a lens warp has invalid terms")
+    if not (0 <= down <= 1 and 0 <= across <= 1):
+        raise ValueError(f"the centre of a lens warp, ({across:.3g}, {down:.3g}), is outside the picture")
+    if not np.isfinite(terms).all():
+        raise ValueError("a lens warp has coefficients that are not finite numbers")
+    if np.abs(terms[:, 4:]).max() > 1:
+        raise ValueError(f"a lens warp has a tangential coefficient of ±{np.abs(terms[:, 4:]).max():.3g}, outside -1 to 1")
     if not 1 / MOST_WARP <= factors.min() <= factors.max() <= MOST_WARP:
         raise ValueError(f"a lens warp changes distances by {factors.min():.3g}…{factors.max():.3g}")
     places = [planes.index(colour) if colour in planes else 0 for colour in (RED, GREEN, BLUE)]

@@ -230,8 +230,8 @@ def _common_head(training: tuple[Path, ...], noisy: bool) -> tuple[TrainingSet, 
     Raises
     ------
     InputFileError
-        If the sets have different cameras or targets, or if `noisy` is False and a set contains real pairs, whose raw frames
-        were captured with a camera.
+        If the sets are for different cameras or outputs, or if `noisy` is False and a set contains real pairs, whose raw
+        frames were captured with a camera.
     """
     frames, head = [], None
     for path in training:
@@ -246,7 +246,7 @@ def _common_head(training: tuple[Path, ...], noisy: bool) -> tuple[TrainingSet, 
                 head = reader.head
             elif not equal(head, reader.head):
                 raise InputFileError(
-                    f"{path} and {training[0]} have different cameras or targets; train a separate table on each"
+                    f"{path} is for another camera or other outputs than {training[0]}; train a separate table on each"
                 )
     assert head is not None  # there is at least one file
     return head, tuple(frames)
