@@ -822,7 +822,8 @@ class CameraModel(Artifact):
 
         The signal is in DN above black. The coefficients apply to frames after dark correction, which subtracts the mean
         dark signal and stretches the remaining range to full scale. These frames still contain the shot noise and the
-        nonuniformity of the dark signal. `noise_left` scales the temporal noise, but not the quantisation noise.
+        nonuniformity of the dark signal. `noise_left` scales the temporal noise, but not the quantisation noise. The
+        quadratic coefficient consists only of fixed-pattern noise (PRNU), and the temporal filter relies on this.
 
         Parameters
         ----------

@@ -489,6 +489,11 @@ def test_the_surface_is_that_of_cos4_whatever_its_width(bayer: CameraModel) -> N
         assert field.shading_gain[:, 16, 24] == pytest.approx(1.0, abs=1e-6)
 
 
+def test_a_camera_without_any_correction_is_refused(bayer: CameraModel) -> None:
+    with pytest.raises(InputFileError, match=r"defect map.*flat field.*polariser field"):
+        correction_of(bayer)
+
+
 def test_a_map_beyond_the_sensor_or_a_field_of_nonsense_is_refused(bayer: CameraModel) -> None:
     with pytest.raises(ValueError, match="outside the 192×256"):
         replace(bayer, defects=DefectMap(np.array([[192, 0]]), ("hot",)))

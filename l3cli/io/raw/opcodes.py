@@ -170,8 +170,10 @@ def _gain_map(opcode: Opcode) -> GainMap:
     origin = tuple(0.0 if points == 1 else value for points, value in zip((rows, cols), numbers[4:6], strict=True))
     if not (min(rows, cols, map_planes, count, down, across) >= 1 and gains.size == rows * cols * map_planes):
         raise ValueError("a gain map has the wrong number of gains")
-    if not (np.isfinite((*spacing, *origin)).all() and min(spacing) > 0 and 0 < gains.min() <= gains.max() <= MOST_GAIN):
-        raise ValueError("a gain map has invalid gains or an invalid spacing")
+    if not (np.isfinite((*spacing, *origin)).all() and min(spacing) > 0):
+        raise ValueError(f"a gain map has the spacing {spacing} and the origin {origin}")
+    if not 0 < gains.min() <= gains.max() <= MOST_GAIN:
+        raise ValueError(f"a gain map has gains of {gains.min():.3g}…{gains.max():.3g}")
     area = slice(top, bottom, down), slice(left, right, across)
     planes = range(plane, min(plane + count, MOST_PLANES if opcode.stage == 2 else 1))  # a mosaic has one plane
     return GainMap(opcode.stage, area, planes, spacing, origin, gains.reshape(rows, cols, map_planes))  # type: ignore[arg-type]
