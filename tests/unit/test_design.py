@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.design import GROUPS, SIDE, LightMoments
 from l3cli.design.error import (
+    SIDE,
     TAP_RIDGE,
     Level,
     Noise,
@@ -83,6 +84,24 @@ def test_sums_of_scenes_add_up() -> None:
     both, one, two = gathered(rng, 300, 0, 1), gathered(again, 300, 0), gathered(again, 300, 1)
     assert both["patches"].sum() == 600
     assert np.array_equal(both["moment"], one["moment"] + two["moment"])
+
+
+def test_each_group_is_averaged_over_all_orientations() -> None:
+    """The mean is the same however the patches are turned or mirrored, and of as much power."""
+    sums, rng = empty_sums(TERMS), np.random.default_rng(5)
+    for name in ("patches", "moment", "mean"):
+        sums[name] += rng.uniform(1, 2, sums[name].shape)
+    averaged = in_all_orientations(sums, TERMS)
+    taps = np.arange(SIDE**2 * TERMS).reshape(SIDE, SIDE, TERMS)
+    behind = np.arange(taps.size, sums["moment"].shape[-1])
+    for turned in (taps[::-1], taps.swapaxes(0, 1)):  # every other orientation is made of these two
+        order = np.concatenate([turned.ravel(), behind])
+        np.testing.assert_allclose(averaged["moment"][:, :, order[:, None], order], averaged["moment"], rtol=1e-12)
+        np.testing.assert_allclose(averaged["mean"][:, :, turned.ravel()], averaged["mean"], rtol=1e-12)
+    for part in (np.arange(taps.size), behind):
+        traces = [np.einsum("pgii->pg", each["moment"][:, :, part[:, None], part]) for each in (averaged, sums)]
+        np.testing.assert_allclose(*traces, rtol=1e-12)
+    np.testing.assert_allclose(averaged["mean"].sum(axis=2), sums["mean"].sum(axis=2), rtol=1e-12)
 
 
 @pytest.mark.parametrize(
