@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.design import GROUPS, SIDE, LightMoments
 from l3cli.design.error import (
-    SIDE,
     TAP_RIDGE,
     Level,
     Noise,
