@@ -196,8 +196,7 @@ def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
     """Return the constants for chroma.cl: one row for each chroma class, and a last row in which all weights are 1.
 
     chroma.cl computes a score for each class, and the class with the best score wins. Each row contains the initial value of
-    the score, the dither width, and the weights of all channels. Pairs of 16-bit weights
-    are packed into 32-bit integers.
+    the score, the dither width, and the weights of all channels. Pairs of 16-bit weights are packed into 32-bit integers.
     """
     weights = np.concatenate([rule.chroma_weights, np.ones((1, rule.channels), np.int32)])
     pairs = np.zeros((len(weights), (rule.channels + 1) // 2, 2), np.int16)  # weights fit into 16 bits

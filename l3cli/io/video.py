@@ -286,8 +286,8 @@ def new_video(
 ) -> Iterator[VideoWriter]:
     """Context manager that creates a video file, and yields an object that writes pictures to it.
 
-    The pictures are written to a temporary file. At the end of the block, `finished` is called with its path, and the file is
-    then renamed to `path`. If the block raises an exception, the file is removed. Raises L3Error if FFmpeg cannot write
+    The pictures are written to a temporary file. At the end of the block, `finished` is called with its path, and then the
+    file is renamed to `path`. If the block raises an exception, the file is removed. Raises L3Error if FFmpeg cannot write
     the video.
     """
     av = pyav()
@@ -340,8 +340,8 @@ def new_y4m(
 ) -> Iterator[Y4mWriter]:
     """Context manager that creates a y4m file, and yields an object that writes pictures to it.
 
-    The pictures are written to a temporary file. At the end of the block, `finished` is called with its path, and the file is
-    then renamed to `path`. If `path` is None, the pictures are written to stdout, and `finished` is not called.
+    The pictures are written to a temporary file. At the end of the block, `finished` is called with its path, and then the
+    file is renamed to `path`. If `path` is None, the pictures are written to stdout, and `finished` is not called.
     """
     if path is None:
         # Unbuffered, because a thread that is blocked in a buffered stream would prevent the interpreter from exiting.

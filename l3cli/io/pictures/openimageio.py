@@ -206,7 +206,7 @@ class Pages:
 def new_pages(path: Path, count: int | None, finished: Callable[[Path], None] = lambda temporary: None) -> Iterator[Pages]:
     """Context manager that creates a multi-page TIFF file, and yields an object that appends pages to it.
 
-    The file first has a temporary name. If the block succeeds, the file is renamed to `path`.
+    The picture is written to a temporary file. If the block succeeds, the file is renamed to `path`.
 
     Parameters
     ----------
