@@ -223,3 +223,4 @@ def test_the_field_comes_back_from_a_file(camera: CameraModel, tmp_path: Path) -
     np.testing.assert_array_equal(again.polariser_field.response_deviation / 2.0**FRACTION, deviation)
     with pytest.raises(ValueError, match="polariser field"):
         replace(deviating, rows=camera.rows - 1)
+    assert deviating.resized(8, 12).polariser_field is None
