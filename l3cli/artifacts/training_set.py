@@ -70,6 +70,13 @@ def white_signal(light: LightSpectrum, camera: CameraModel, output_unit: float |
     return np.asarray(camera.signal_weights @ radiance * (unit / camera.full_scale))
 
 
+def stokes_signals(light: LightSpectrum, camera: CameraModel) -> NDArray[np.float64]:
+    """Return the change of `white_signal`, (2, channel), if the light is polarised so that S1 or S2 equals S0."""
+    radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
+    weights = camera.stokes_weights[1:] * camera.channel_gains[:, None]
+    return np.asarray(weights @ radiance * (camera.output_unit / camera.full_scale))
+
+
 @dataclass(frozen=True)
 class TrainingPair:
     """A raw frame and the ideal outputs of each pixel.

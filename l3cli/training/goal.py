@@ -10,15 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.layers import PLANES
-from l3cli.artifacts.training_set import LightSpectrum, TrainingSet, white_signal
+from l3cli.artifacts.training_set import LightSpectrum, TrainingSet, stokes_signals, white_signal
 from l3cli.physics.display import XYZ
 from l3cli.physics.spectra import is_spectrum
-from l3cli.physics.stokes import COLOUR_STOKES
+from l3cli.physics.stokes import COLOUR_STOKES, STOKES
 from l3cli.training.highlights import error_of_white
 from l3cli.training.plain_surfaces import PlainSurfaces, plain_surfaces, polarised_grey
 from l3cli.training.systems import Integers
 
 Array = NDArray[np.float64]
+LARGEST_CONDITION = 100.0  # largest condition number of the signals of S0, S1 and S2; with four angles, it is 1.4
 ONE_LIGHT = 0.001  # illuminants with at most this relative spread count as a single illuminant
 
 
@@ -34,6 +35,7 @@ class Goal:
     white_level: float  # DN
     white_error: Array | float = 0.0  # (channel) relative error of white's signals if they are estimated from patches
     surfaces: PlainSurfaces | None = None  # measured surfaces under the training illuminant, if used for training
+    stokes_signals: Array | None = None  # (S1 or S2, channel) change of `white_signal` if S1 or S2 equals S0, or None
     polarised: Array | None = None  # moments from `polarised_grey` under the training illuminant, if used for training
     filters: tuple[int, ...] = ()  # (channel) first channel with the same filter, or () if no channels share a filter
     sensitivity: Array | None = None  # (channel) relative sensitivity, or None if all channels are equally exposed
@@ -83,6 +85,10 @@ def goal_of(head: TrainingSet, white_point: Array, light: LightSpectrum | None) 
     surfaces = None
     if one_light(light) and head.outputs == XYZ:
         surfaces = plain_surfaces(camera, light, head.target_light or light, white_point)
-    if one_light(light) and head.outputs == COLOUR_STOKES:
+    if one_light(light) and head.outputs in (COLOUR_STOKES, STOKES):
         optional["polarised"] = polarised_grey(camera, light, head.outputs)
+        changes = stokes_signals(light, camera)
+        # With polarisers at fewer than three angles, the signals do not determine S0, S1 and S2.
+        if np.linalg.cond(np.vstack([signal, changes])) < LARGEST_CONDITION:
+            optional["stokes_signals"] = changes
     return Goal(head.outputs, camera.channels, white_point, signal, *levels, white_error, surfaces, **optional)

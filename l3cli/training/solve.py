@@ -398,7 +398,8 @@ def _constrained(
 ) -> list[Array]:
     """Find the common response with the least error, and return each site's taps constrained to it.
 
-    White is rendered exactly if `_exact_white` returns its signals. The luminance of a grey that gets brighter must not drop
+    White is rendered exactly if `_exact_white` returns its signals. If the outputs contain Stokes parameters, white that is
+    polarised equally at all wavelengths is also rendered exactly. The luminance of a grey that gets brighter must not drop
     when its last channel clips (see `steps_back`).
     """
     constrained = [solution.taps.copy() for solution in solutions]
@@ -425,7 +426,13 @@ def _constrained(
             total = sum(copy * stiff for copy, stiff in zip(copies, stiffness, strict=True))
             pull = sum(copy * k @ r for copy, k, r in zip(copies, stiffness, response, strict=True))
             common = np.linalg.solve(total, pull)
-            if white is not None and not kind:
+            if white is not None and not kind and goal.stokes_signals is not None:
+                lights = np.stack([white, *goal.stokes_signals], axis=1)
+                name = goal.outputs[output]
+                wanted = np.array([of_white[output], name == "S1", name == "S2"])[:, None]
+                bend = np.linalg.solve(total, np.broadcast_to(lights, (*common.shape[:2], 3)))
+                common = common + bend @ np.linalg.solve(lights.T @ bend, wanted - lights.T @ common)
+            elif white is not None and not kind:
                 bend = np.linalg.solve(total, np.broadcast_to(white[:, None], common.shape))
                 missing = of_white[output] - white @ common
                 common = common + bend * (missing / (white @ bend))[:, None]

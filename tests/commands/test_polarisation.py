@@ -12,7 +12,7 @@ import pytest
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.artifacts.training_set import open_training_set
+from l3cli.artifacts.training_set import open_training_set, stokes_signals, white_signal
 from l3cli.classes.planes import planes_basis
 from l3cli.cli import run
 from l3cli.evaluation.likeness import colour_difference, unlike
@@ -43,7 +43,7 @@ def trained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     """A folder with frames for training, unseen frames, a table and a raw frame of one of the two cameras."""
     folder = tmp_path_factory.mktemp(request.param)
     (folder / "scenes.toml").write_text(SCENES.format(outputs=KINDS[request.param]))
-    (folder / "classes.toml").write_text(small_classes())
+    (folder / "classes.toml").write_text(small_classes("polarised"))
     for call in (
         ("simulate", folder / "scenes.toml", "--camera", request.param, "-o", folder / "frames.h5"),
         ("simulate", folder / "scenes.toml", "--camera", request.param, "-o", folder / "unseen.h5", "--seed", 1),
@@ -96,6 +96,24 @@ def test_unpolarised_greys_are_unpolarised_at_every_site(trained: Path) -> None:
         stokes = stokes_of(ReferenceRenderer(table).exact_outputs(rounding), table.outputs)
         assert np.abs(stokes[1:]).max() < 0.02 * level + 2 / span
         assert stokes[0] == pytest.approx(level / white.max(), rel=0.03)
+
+
+@pytest.mark.parametrize("angle", [20.0, 65.0, 110.0])
+@pytest.mark.parametrize("level", [0.05, 0.2, 0.6])
+def test_polarised_greys_keep_their_degree_and_angle(trained: Path, level: float, angle: float) -> None:
+    """Uniform light that is polarised equally at all wavelengths is exact at every site, up to rounded raw values."""
+    table = load(TransformTable, trained / "table.h5")
+    assert table.camera is not None
+    assert table.light is not None
+    twice, degree = 2 * np.radians(angle), 0.2
+    first, second = stokes_signals(table.light, table.camera)
+    signal = white_signal(table.light, table.camera) + degree * (np.cos(twice) * first + np.sin(twice) * second)
+    values = table.black_level + (table.white_level - table.black_level) * level * signal / signal.max()
+    sites = np.rint(values).astype(np.uint16)[table.camera.channel_map((24, 24))]
+    frame = RawFrame("grey", sites, table.black_level, table.white_level)
+    s0, s1, s2 = stokes_of(ReferenceRenderer(table).exact_outputs(frame), table.outputs)
+    np.testing.assert_allclose(s1 / s0, degree * np.cos(twice), atol=0.01)
+    np.testing.assert_allclose(s2 / s0, degree * np.sin(twice), atol=0.01)
 
 
 def test_linear_files_contain_stokes_parameters_in_order(trained: Path, l3: L3) -> None:

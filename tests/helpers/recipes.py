@@ -75,9 +75,9 @@ def _value(value: Any) -> str:
     return "[" + ", ".join(map(_value, value)) + "]" if isinstance(value, list) else json.dumps(value)
 
 
-def small_classes() -> str:
-    """Return the default class recipe of `l3 train` with fewer patches and levels."""
-    text = (CONFIGS / "classes/default.toml").read_text()
+def small_classes(name: str = "default") -> str:
+    """Return a class recipe with fewer patches and levels."""
+    text = (CONFIGS / f"classes/{name}.toml").read_text()
     smaller = {"levels": 3, "patches": 600, "draws": 2, "first_draws": 1, "mosaics": 8, "plain_surfaces": 2, "patch": 5}
     for name, value in smaller.items():
         text, count = re.subn(rf"(?m)^{name} = [\d.]+", f"{name} = {value}", text)

@@ -53,6 +53,7 @@ class LayerGoal:
     keeps: tuple[int, ...] = ()
     strength_pool: float = 0.0  # weight of samples from classes with the next lower and the next higher strength
     corrects: bool = False  # whether the layer's results are added to the first layer's outputs; they are 0 for white
+    exact: bool = False  # whether uniform areas keep the planes in `keeps` exactly, as required for Stokes parameters
 
 
 def solve_layer(
@@ -169,7 +170,8 @@ def _constrained(
     of : list of int
         Indices of the solved outputs.
     keeps : bool
-        Whether to preserve the chroma planes in `goal.keeps` if the common response would attenuate them.
+        Whether to preserve the chroma planes in `goal.keeps` if the common response would attenuate them or, for Stokes
+        parameters, always.
 
     Returns
     -------
@@ -187,7 +189,7 @@ def _constrained(
     common += np.outer(bend, (wanted - white @ common) / (white @ bend))
     for column, output in enumerate(of):
         plane = goal.keeps[output] if keeps else -1
-        if plane >= 0 and common[plane, column] + goal.corrects < FADED_RESPONSE:
+        if plane >= 0 and (goal.exact or common[plane, column] + goal.corrects < FADED_RESPONSE):
             common[:, column] = 0 if goal.corrects else np.eye(len(white))[plane]
     return [
         one[:, :count] + one[:, count:] @ (k @ (common - r)) for one, k, r in zip(estimates, stiff, response, strict=True)
@@ -441,7 +443,8 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
     pools = (recipe.level_pool, recipe.parent_patches)
     keeps = tuple(chroma.get(each, -1) for each in range(layer.made)) if recipe.coarse_chroma else ()
     corrects = layer.outputs is not None
-    goal = LayerGoal(*pools, recipe.ridge, noise_weights, white, windows, keeps, recipe.strength_pool, corrects)
+    kinds = corrects, layer.stokes
+    goal = LayerGoal(*pools, recipe.ridge, noise_weights, white, windows, keeps, recipe.strength_pool, *kinds)
     sums = {site: _symmetric(layer, rule, site, one) for site, one in sums.items()}
     solved = dict(
         zip(sums, solve_layer(list(sums.values()), copies, rule, goal, layer.learning.equal_response), strict=True)
