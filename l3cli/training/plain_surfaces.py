@@ -13,7 +13,7 @@ If the outputs are the camera's channels, classes for uniform areas are also tra
 independently (docs/method.md#single-bands). The training surfaces have smooth spectra. Without independent bands, a class
 would treat any deviation from a smooth spectrum as noise, and shift the colours of uniform areas with other spectra.
 
-If the outputs are X, Y, Z, S1 and S2, classes for uniform areas are also trained on a polarised grey
+If the outputs contain S1 and S2, classes for uniform areas are also trained on a polarised grey
 (docs/method.md#polarised-grey). A class trained only on textures would infer the polarisation of one colour from the pixels
 of the others, also in uniform areas.
 """

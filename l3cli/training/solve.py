@@ -299,7 +299,7 @@ def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Arr
     """Return the moments of additional uniform patches for unsaturated classes of the lowest contrast, by class.
 
     Only these classes are trained on uniform patches, so that textured surfaces keep their colour. The patches are measured
-    surfaces or, if the outputs are X, Y, Z, S1 and S2, a polarised grey. In classes with a direction, the patches have the
+    surfaces or, if the outputs contain S1 and S2, a polarised grey. In classes with a direction, the patches have the
     weight `DIRECTED_SURFACES`, unless the rule has only one chroma. Chromas that occur only in stripes are trained on
     stripes, in classes of any direction.
 
