@@ -111,9 +111,11 @@ def test_polarised_greys_keep_their_degree_and_angle(trained: Path, level: float
     values = table.black_level + (table.white_level - table.black_level) * level * signal / signal.max()
     sites = np.rint(values).astype(np.uint16)[table.camera.channel_map((24, 24))]
     frame = RawFrame("grey", sites, table.black_level, table.white_level)
-    s0, s1, s2 = stokes_of(ReferenceRenderer(table).exact_outputs(frame), table.outputs)
-    np.testing.assert_allclose(s1 / s0, degree * np.cos(twice), atol=0.01)
-    np.testing.assert_allclose(s2 / s0, degree * np.sin(twice), atol=0.01)
+    # With such a small training set, the second layer changes the degree by up to 5 %.
+    for layers, allowed in ((replace(table, later=()), 0.0006 / level), (table, 0.01)):
+        s0, s1, s2 = stokes_of(ReferenceRenderer(layers).exact_outputs(frame), table.outputs)
+        np.testing.assert_allclose(s1 / s0, degree * np.cos(twice), atol=allowed)
+        np.testing.assert_allclose(s2 / s0, degree * np.sin(twice), atol=allowed)
 
 
 def test_linear_files_contain_stokes_parameters_in_order(trained: Path, l3: L3) -> None:
