@@ -87,7 +87,7 @@ def effort(path: Path) -> int:
 def make(array: Array) -> tuple[dict[str, Any], float]:
     """Write the pictures of an array. Return the entry for figures.json and the CPU time in seconds."""
     begin, (name, path, twins, jobs) = time.process_time(), array
-    about = {"summary": summary(path), "classes": classes_of(path), "twins": twins}
+    about: dict[str, Any] = {"summary": summary(path), "classes": classes_of(path), "twins": twins}
     with tempfile.TemporaryDirectory(prefix="l3-gallery-") as folder:
         training, table, unseen = (Path(folder, f"{each}.h5") for each in ("training", "table", "unseen"))
         scenes: Path | str = SCENES

@@ -56,7 +56,7 @@ class ChannelRecipe(Recipe):
     """
 
     like: str | None = None  # name of a channel with the same filter and therefore the same responsivity
-    # exposure time, divided by the exposure time of the frame, which is the longest of all channels
+    # exposure time relative to the longest exposure time of all channels, which is the exposure time of the frame
     exposure: Annotated[float, msgspec.Meta(ge=MIN_EXPOSURE, le=1)] = 1.0
     # conversion gain, relative to sensor.gain_dn_per_e, which is the lowest conversion gain of all channels
     gain: Annotated[float, msgspec.Meta(ge=1, le=MAX_GAIN)] = 1.0
