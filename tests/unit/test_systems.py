@@ -158,6 +158,25 @@ def test_strengths_share_their_rows() -> None:
     assert not {edges[0], rule.join(0, edges[2] + 1)} & set(changed)
 
 
+@pytest.mark.parametrize("exact", [False, True])
+def test_uniform_areas_keep_stokes_parameters_exactly(exact: bool) -> None:
+    """The target of output 0 is 1.2 times plane 0. A layer for Stokes parameters does not amplify uniform areas."""
+    table = with_refinement(random_table([[0, 1], [1, 0]]), 3)
+    rule = table.later[0].rule
+    taps, rng = 27, np.random.default_rng(2)
+    windows = rng.random((400, taps))
+    means = windows.reshape(400, 3, -1).mean(axis=2)  # (sample, plane)
+    rows = np.column_stack([windows, np.ones(400), means * [1.2, 1.0, 1.0]])
+    count, moments = np.zeros(rule.classes_per_site), np.zeros((rule.classes_per_site, (taps + 4) * (taps + 5) // 2))
+    count[0], moments[0] = 400, (rows.T @ rows)[pairs(taps + 4)]
+    sums = LayerSums(moments, np.zeros((count.size, taps * (taps + 1) // 2)), count)
+    goal = LayerGoal((), 0.0, 1e-12, (1.0, 1.0, 1.0), np.array([0.0, 1.0, 0.0]), taps, (0, -1, 2), exact=exact)
+    (solved,) = solve_layer([sums], [1], rule, goal)
+    response = solved[0, :taps].reshape(3, -1, 3).sum(axis=1)  # (plane, output)
+    expected = np.diag([1.0 if exact else 1.2, 1.0, 1.0])
+    np.testing.assert_allclose(response, expected, atol=1e-6)
+
+
 TAPS, OUTPUTS, COUNT = 9, 6, 40
 POWER = 0.25
 
