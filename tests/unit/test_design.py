@@ -99,7 +99,7 @@ def test_each_group_is_averaged_over_all_orientations() -> None:
         np.testing.assert_allclose(averaged["mean"][:, :, turned.ravel()], averaged["mean"], rtol=1e-12)
     for part in (np.arange(taps.size), behind):
         traces = [np.einsum("pgii->pg", each["moment"][:, :, part[:, None], part]) for each in (averaged, sums)]
-        np.testing.assert_allclose(*traces, rtol=1e-12)
+        np.testing.assert_allclose(traces[0], traces[1], rtol=1e-12)
     np.testing.assert_allclose(averaged["mean"].sum(axis=2), sums["mean"].sum(axis=2), rtol=1e-12)
 
 
