@@ -359,7 +359,7 @@ MISTAKES = """
     3 evaluate --sequence picture.png
         single file
     3 compare list.json
-        not an evaluation
+        not a result of l3 evaluate
     2 export table.h5 -o new --set low-noise
         has only one set of transforms; remove --set
     2 export table.h5 -o new --to folder --set low-noise
@@ -614,5 +614,5 @@ def test_a_report_states_it_too(pipeline: Path, frames: dict[str, Path], tmp_pat
     for first in ("table.h5", "camera.h5", "unseen.h5"):
         err = l3("report", pipeline / first, tmp_path / "noisy.h5", *out)[2]
         assert "noisy.h5" in err
-        assert "a different camera from" in err
-        assert "different camera" not in l3("report", pipeline / first, pipeline / "camera.h5", *out)[2]
+        assert "are for different cameras" in err
+        assert "different cameras" not in l3("report", pipeline / first, pipeline / "camera.h5", *out)[2]

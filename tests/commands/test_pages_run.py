@@ -44,6 +44,7 @@ CLASSES = "[classes]\npatch = 5\nlevels = 4\nchromas = 1\n[learning]\npatches = 
 NOT_RUN = {
     "--photo chart.dng": "a photo of a chart: tests/commands/test_calibrate_photo.py, test_webcam.py",
     "shading.toml": "tests/commands/test_webcam.py",
+    "--show dolp --camera": "a measured polarisation camera: tests/science/test_pixel_polarisers.py",
     "camera.h5 -o tuning": "tests/commands/test_webcam.py",
     "--draft captures": "tests/commands/test_draft.py",
     "l3 report": "tests/commands/test_report.py",
@@ -210,7 +211,7 @@ def test_the_example_of_spectral_scenes_prints_what_is_shown(
     page = PAGES["spectral-scenes.md"]
     (script,) = fenced(page, "python")
     exec(script, {})
-    (recipe,) = [block for name, block in TABLES if name == "spectral-scenes.md"]
+    recipe = next(block for name, block in TABLES if name == "spectral-scenes.md")
     for ((line, shown),), white, code in zip(sessions(page), ("", "white = 10000\n"), (3, 0), strict=True):
         (tmp_path / "SCENES.toml").write_text(f"{recipe}\n{white}")
         got, out, err = l3(*commands(line)[0])
