@@ -1,10 +1,11 @@
 """Reflectance spectra: random materials for procedural scenes, and spectra for RGB pictures.
 
-Random materials are varied, smooth and physically valid (docs/method.md#procedural-scenes). They come from three sources:
+Random materials are varied, smooth and physically valid (docs/method.md#procedural-scenes). They come from four sources:
 
 1. measured surfaces, unchanged or mixed,
 2. a Gaussian distribution fitted to the measured surfaces in logit space,
-3. models of materials that are common in pictures: skin, leaves and hair.
+3. models of materials that are common in pictures: skin, leaves and hair,
+4. paints from artists' pigments.
 
 Saturation is mostly low and varies between scenes. RGB pictures are converted to smooth reflectances with the colours of the
 pixels (docs/method.md#pictures-converted-to-spectra).
@@ -22,6 +23,7 @@ from l3cli.physics import spectra
 from l3cli.physics.display import SRGB_FROM_XYZ
 from l3cli.physics.spectra import BLACKEST, WHITEST, kubelka_munk, with_saturation, with_titanium_white
 from l3cli.simulation.light import make_light, matching_weights
+from l3cli.simulation.paints import draw_paint
 
 Array = NDArray[np.floating]
 
@@ -36,6 +38,7 @@ KIND_FREQUENCIES = {"library": 0.25, "mixture": 0.2, "gaussian": 0.35, "skin": 0
 DYED = ("library", "mixture", "gaussian")
 VIVID = (0.0, 1.2)  # range of the saturation in charts of dyed materials; 0 is grey, 1 is the measured saturation
 VESSEL = 0.007  # radius of the blood vessels of the skin, in cm
+PAINT_FRACTION = 0.1  # fraction of the materials of a scene that are replaced by paints from artists' pigments
 PAINTED = 0.75  # fraction of the dyed materials that contain titanium white, as paint, plastic and paper do
 
 # Molar extinction of oxygenated and deoxygenated haemoglobin in cm-1/M, 390…780 nm in steps of 10 nm (S. Prahl, omlc.org).
@@ -111,7 +114,11 @@ def palette(rng: np.random.Generator, of: Surfaces) -> Array:
         shares[rng.choice(len(shares), p=shares / shares.sum())] += 1.0
     kinds = rng.choice(list(KIND_FREQUENCIES), size=count, p=shares / shares.sum())
     saturation = rng.uniform(0.3, 1.2)
-    return np.array([_material(rng, of, kind, saturation) for kind in kinds])
+    drawn = np.array([_material(rng, of, kind, saturation) for kind in kinds])
+    # The paints have their own random numbers, so that the other materials are the same with any fraction of paints.
+    own = rng.spawn(1)[0]
+    paints = [draw_paint(own, of.wavelength) for _ in kinds]
+    return np.where(own.random((count, 1)) < PAINT_FRACTION, paints, drawn)
 
 
 def materials(kind: str, rng: np.random.Generator, of: Surfaces, count: int) -> Array:

