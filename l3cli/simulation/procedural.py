@@ -25,6 +25,7 @@ Cube = NDArray[np.float32]  # (row, col, band)
 
 OVERSAMPLING = 2  # samples per pixel in each direction, so that edges need not coincide with pixel borders
 SMALLEST_RADIUS, LARGEST_RADIUS = 3.0, 100.0  # range of the leaf radii, in pixels
+PAINTS = 0.1  # fraction of the materials in dead leaves that are paints from artists' pigments
 MAX_TIMES_WHITE = 3.0  # largest value in a scene, including highlights, relative to a perfect white
 STRIP = 8  # rows that are drawn together, few enough for the processor cache
 Wavelength = NDArray[np.float64]
@@ -72,6 +73,7 @@ def drawn_leaves(
     wavelength: Array,
     patterned: float = 0.0,
     polarising: np.random.Generator | None = None,
+    paints: float = PAINTS,
 ) -> tuple[Cube, Polarisation | None]:
     """Draw a dead-leaves scene: overlapping leaves with texture, shading, shadows and gloss.
 
@@ -88,6 +90,8 @@ def drawn_leaves(
         not affect the rest of the scene.
     polarising : Generator, optional
         Source of the random numbers for the polarisation. [default: the light is not polarised]
+    paints : float
+        Fraction of the materials that are paints from artists' pigments.
 
     Returns
     -------
@@ -97,7 +101,7 @@ def drawn_leaves(
         Polarisation of the light, or None if `polarising` is None.
     """
     fine = (size[0] * OVERSAMPLING, size[1] * OVERSAMPLING)
-    materials = palette(rng, surfaces(tuple(wavelength)))
+    materials = palette(rng, surfaces(tuple(wavelength)), paints)
     smallest = SMALLEST_RADIUS * (4.0 if rng.random() < 0.5 else 1.0)  # half of the scenes have no small leaves
     cover = leaves.dead_leaves(rng, fine, smallest * OVERSAMPLING, LARGEST_RADIUS * OVERSAMPLING)
     coat = _coats(rng, materials, len(cover.radius))
@@ -328,7 +332,8 @@ def drawn_composition(
     polarisation : Polarisation or None
         Polarisation of the light, or None if `polarising` is None.
     """
-    cube, polarisation = drawn_leaves(rng, size, wavelength, polarising=polarising)
+    # Without paints, this scene for tests is the same as before the training scenes got paints.
+    cube, polarisation = drawn_leaves(rng, size, wavelength, polarising=polarising, paints=0.0)
     for units, centre, panel in (
         (*CHART_PANEL, colorchecker),
         ((2, 12), (0.30, 0.25), ramp_panel),

@@ -38,7 +38,6 @@ KIND_FREQUENCIES = {"library": 0.25, "mixture": 0.2, "gaussian": 0.35, "skin": 0
 DYED = ("library", "mixture", "gaussian")
 VIVID = (0.0, 1.2)  # range of the saturation in charts of dyed materials; 0 is grey, 1 is the measured saturation
 VESSEL = 0.007  # radius of the blood vessels of the skin, in cm
-PAINT_FRACTION = 0.1  # fraction of the materials of a scene that are replaced by paints from artists' pigments
 PAINTED = 0.75  # fraction of the dyed materials that contain titanium white, as paint, plastic and paper do
 
 # Molar extinction of oxygenated and deoxygenated haemoglobin in cm-1/M, 390…780 nm in steps of 10 nm (S. Prahl, omlc.org).
@@ -103,10 +102,10 @@ def drawn_bands(wavelength: Array) -> NDArray[np.bool_]:
     return np.isin(wavelength, DRAWN)
 
 
-def palette(rng: np.random.Generator, of: Surfaces) -> Array:
+def palette(rng: np.random.Generator, of: Surfaces, paints: float = 0.0) -> Array:
     """Draw 6 to 60 materials for one scene, as reflectances (material, band).
 
-    In half of the scenes, one type of material is dominant.
+    In half of the scenes, one type of material is dominant. A fraction `paints` of the materials is replaced by paints.
     """
     count = int(np.exp(rng.uniform(np.log(6), np.log(60))))
     shares = np.array(list(KIND_FREQUENCIES.values()))
@@ -115,10 +114,12 @@ def palette(rng: np.random.Generator, of: Surfaces) -> Array:
     kinds = rng.choice(list(KIND_FREQUENCIES), size=count, p=shares / shares.sum())
     saturation = rng.uniform(0.3, 1.2)
     drawn = np.array([_material(rng, of, kind, saturation) for kind in kinds])
+    if not paints:
+        return drawn
     # The paints have their own random numbers, so that the other materials are the same with any fraction of paints.
     own = rng.spawn(1)[0]
-    paints = [draw_paint(own, of.wavelength) for _ in kinds]
-    return np.where(own.random((count, 1)) < PAINT_FRACTION, paints, drawn)
+    painted = [draw_paint(own, of.wavelength) for _ in kinds]
+    return np.where(own.random((count, 1)) < paints, painted, drawn)
 
 
 def materials(kind: str, rng: np.random.Generator, of: Surfaces, count: int) -> Array:

@@ -224,15 +224,20 @@ def test_paints_absorb_where_their_pigments_do() -> None:
     assert np.ptp(list(tints["carbon black"].values())) < 0.01
 
 
-def test_a_tenth_of_the_materials_of_a_scene_are_paints(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tenth_of_the_materials_of_dead_leaves_are_paints() -> None:
     of = reflectances.surfaces(tuple(WAVELENGTH))
-    drawn = np.concatenate([reflectances.palette(np.random.default_rng(seed), of) for seed in range(60)])
-    monkeypatch.setattr(reflectances, "PAINT_FRACTION", 0.0)
-    others = np.concatenate([reflectances.palette(np.random.default_rng(seed), of) for seed in range(60)])
-    changed = (drawn != others).any(axis=1)
-    assert 0.07 < changed.mean() < 0.13
-    assert drawn.min() >= spectra.BLACKEST
-    assert drawn.max() <= spectra.WHITEST
+    drawn = [
+        np.concatenate([reflectances.palette(np.random.default_rng(seed), of, paints) for seed in range(60)])
+        for paints in (0.0, procedural.PAINTS)
+    ]
+    assert 0.07 < (drawn[0] != drawn[1]).any(axis=1).mean() < 0.13
+    assert drawn[1].min() >= spectra.BLACKEST
+    assert drawn[1].max() <= spectra.WHITEST
+    leaves = [
+        procedural.drawn_leaves(np.random.default_rng(0), (48, 48), WAVELENGTH, **paints)[0]
+        for paints in ({}, {"paints": 0.0})
+    ]
+    assert 0.01 < (leaves[0] != leaves[1]).any(axis=2).mean() < 0.6
 
 
 DRAWINGS = {
@@ -267,6 +272,8 @@ def test_drawn_scenes_keep_their_bytes() -> None:
     """Published figures are of these."""
     leaves = procedural.dead_leaves(np.random.default_rng(0), (48, 48), reflectances.DRAWN, 0.3)
     assert leaves.mean(dtype=float) == pytest.approx(0.19510686370244376, rel=1e-9)
+    composition = procedural.composition(np.random.default_rng(0), (48, 96), reflectances.DRAWN)
+    assert composition.mean(dtype=float) == pytest.approx(0.34976567075719756, rel=1e-9)
 
 
 def test_saturation_zero_is_grey_and_one_changes_nothing() -> None:
