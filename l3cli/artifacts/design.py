@@ -203,7 +203,6 @@ class Truth:
         return lines
 
     def _logarithms(self, level: int, figure: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the logarithms of the predicted errors and the logarithms of the measured errors of all CFAs."""
         measured = self.measured[:, level, figure]
         of_decibels = -measured * (np.log(10) / 20)
         return np.log(self.expected[:, level]), of_decibels if self.figures[figure].endswith("psnr") else np.log(measured)

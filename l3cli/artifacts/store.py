@@ -243,7 +243,6 @@ def _read_group(group: h5py.Group, name: str, spec: Group, path: Path) -> Any:
 
 
 def _inside(group: h5py.Group, name: str) -> str:
-    """Return the path of a member of a group within the file."""
     return f"{group.name.rstrip('/')}/{name}".lstrip("/")
 
 

@@ -1,9 +1,10 @@
-"""Predict the error of a colour filter array from moments of spectral patches (docs/method.md#designs).
+"""Predict the error of a colour filter array without training a table (docs/method.md#designs).
 
-The moments are computed once for each lens, pixel and illuminant. The error of any array, in each group of patches, then
-follows in closed form without training. For errors in CIELAB, a patch with the luminance Y has the weight (Y + 0.02)^(-2/3),
-which is proportional to the slope of CIELAB at a grey. An error of 1 is then about one ΔE00. For linear errors, all weights
-are 1. If a filter's mean signal clips in a group of patches, the filter contributes no information in this group.
+The prediction needs only moments: mean products of the spectra and the ideal outputs in small patches of scenes. They are
+computed once for each lens, pixel and illuminant. The error of any array, in each group of patches, then follows in closed
+form. For errors in CIELAB, a patch with the luminance Y has the weight (Y + 0.02)^(-2/3), which is proportional to the slope
+of CIELAB at a grey. An error of 1 is then about one ΔE00. For linear errors, all weights are 1. If a filter's mean signal
+clips in a group of patches, the filter contributes no information in this group.
 """
 
 from dataclasses import dataclass, replace
@@ -30,7 +31,7 @@ WINDOW = 2  # radius, in pixels, of the square that determines the group of a pa
 
 
 def empty_sums(terms: int) -> Sums:
-    """Return zero sums for `gather`. `terms` is the number of principal spectra."""
+    """Create the sums to which `gather` adds the moments, filled with zeros. `terms` is the number of principal spectra."""
     kinds, taps = (len(WEIGHTINGS), len(GROUPS)), SIDE**2 * terms
     shapes = {"patches": kinds[1:], "weight": kinds, "mean": (*kinds, taps)}
     shapes["moment"] = (*kinds, taps + SOFT.stop + terms, taps + SOFT.stop + terms)
@@ -38,7 +39,9 @@ def empty_sums(terms: int) -> Sums:
 
 
 def spectral_power(reflectance: NDArray[np.floating], rate: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Compute the second moment of a scene's photon spectra, normalised by the squared mean reflectance.
+    """Compute a scene's mean product of the photon rates at each pair of wavelengths.
+
+    The result is divided by the squared mean reflectance of the scene.
 
     Parameters
     ----------
@@ -57,7 +60,7 @@ def spectral_power(reflectance: NDArray[np.floating], rate: NDArray[np.floating]
 
 
 def principal_spectra(power: Array, white: Array) -> NDArray[np.float64]:
-    """Compute the principal spectra of scenes that represent the fraction KEPT_POWER of the spectral power.
+    """Compute the principal components of scene spectra that contain the fraction KEPT_POWER of the spectral power.
 
     There are at least three principal spectra.
 
@@ -229,9 +232,9 @@ def exposure(level: Level, noise: Noise, white: float) -> tuple[float, float]:
 class Seen:
     """Moments of filter signals and outputs under one illuminant, for each group of patches.
 
-    They are the moments of all filters at all taps. The moments of an array are a selection of them. The class is also used
-    for moments of the principal spectra, before filters are applied. The axis "filter" then contains the principal spectra,
-    and `white` is empty.
+    The moments are computed as if every filter were at every tap of a patch. For a given array, only the filter that is
+    really at each tap is selected. `spectra_of` uses the class for moments of principal spectra, before filters are applied.
+    The axis "filter" then contains the principal spectra, and `white` is empty.
     """
 
     signal: Array  # (filter, filter, group, tap, tap): second moments of the signals

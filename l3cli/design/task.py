@@ -45,7 +45,7 @@ DESCENT = {"maxiter": 60, "eps": 1e-4}  # options for `scipy.optimize.minimize`
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """A design recipe, with its scene moments and all files to which it refers.
+    """A design recipe with its scene moments and its files, and the predictions that follow from them.
 
     Worker processes receive only the two paths. Each process reads the files once.
 
@@ -190,7 +190,7 @@ class Task:
             )
 
     def judged(self, arrays: Sequence[Cfa]) -> dict[str, NDArray]:
-        """Predict the errors of arrays: {"errors": ndarray, (array, level, group)}."""
+        """Predict the errors of arrays, and return them as the entry "errors": (array, level, group)."""
         return {"errors": np.array([self.problem.errors(cfa) for cfa in arrays])}
 
     def annealed(self, seed: int, which: tuple[int, int]) -> dict[str, NDArray]:

@@ -396,7 +396,6 @@ def _chosen(planes: Array, camera: CameraModel, which: Callable[[Array], np.intp
 
 
 def _groups(camera: CameraModel) -> list[NDArray[np.intp]]:
-    """Group the channel indices by colour filter."""
     assert camera.readout is not None
     first = camera.readout.same_filter
     return [np.flatnonzero(first == one) for one in np.unique(first)]

@@ -225,7 +225,7 @@ def ppi_difference(mosaic: Array, cfa: CFA) -> Array:
 
 
 def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direction, Array]) -> Array:
-    """Return the pseudo-panchromatic image (row, col) of a mosaic (equations 23 to 28).
+    """Estimate the mean of all bands at each pixel of a mosaic (row, col), by equations 23 to 28 of Mihoubi et al. (2017).
 
     At each pixel, l3 subtracts the sample from the average over one period around the pixel. The result is each pixel's
     sample, plus the weighted mean of these differences at the pixel's neighbours one period away.
@@ -243,7 +243,7 @@ def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direc
 
 
 def _edge_weights(values: Array, period: tuple[int, ...]) -> dict[Direction, Array]:
-    """Return the weights (row, col) of neighbours in each direction (equations 25 to 27).
+    """Return the weights (row, col) of neighbours in each direction, by equations 25 to 27 of Mihoubi et al. (2017).
 
     The more a band changes over one period in a direction, the smaller the weight. For the direction (0, 0), all weights are
     1.

@@ -140,7 +140,7 @@ MAX_OUTPUT_CD_PER_M2 = 1e24  # cd/m²; larger outputs are rejected, so that sums
 
 
 class Evaluation:
-    """Evaluates a table, baselines and rivals on the frames of a training set.
+    """Evaluates a table, untrained baselines and pictures from other programs (rivals) on the frames of a training set.
 
     Frames are added one by one, without keeping their pictures in memory.
 
@@ -219,7 +219,7 @@ class Evaluation:
 
     @property
     def pipelines(self) -> tuple[str, ...]:
-        """Pipeline names: "ours" (the table), the baselines, the spectral estimators, and the rivals.
+        """Names of the compared pipelines: "ours" (the table), the baselines, the spectral estimators, and the rivals.
 
         Baselines exist if the outputs are XYZ, the camera's bands or Stokes parameters.
         """

@@ -31,7 +31,7 @@ NOISE_SIGNALS = (0.0, 0.01, 0.1, 0.5)  # fractions of full scale at which noise 
 
 
 def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
-    """Describe the differences between two cameras that are too large for two calibrations of the same camera.
+    """Describe in which properties two camera models differ too much to be two calibrations of the same camera.
 
     Parameters
     ----------
@@ -103,5 +103,4 @@ def noise_ratio(one: CameraModel, other: CameraModel) -> float:
 
 
 def _factor(ratio: float) -> float:
-    """Return the larger of a ratio and its inverse."""
     return max(ratio, 1.0 / ratio)

@@ -44,7 +44,7 @@ def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, P
 
 
 def planes_of(picture: Array, frame: TrainingPair) -> Array:
-    """Convert a rival's picture to XYZ in the unit of the target.
+    """Convert the picture of another program (a rival) to XYZ in the unit of the target.
 
     The picture is scaled to the luminance of the target by a least-squares fit over all unclipped pixels.
 

@@ -419,10 +419,10 @@ def band_figures(
 def _linear_and_shares(
     rendered: Array, target: Array, white: Array, border: int, counted: NDArray[np.bool_] | None
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Normalise rendered and target planes in two ways, and return two pairs (rendered, target) without the border.
+    """Crop rendered and target planes, and return them in two units, each as a pair (rendered, target).
 
-    The first pair is divided by the peaks for `output_psnr`. The second contains fractions of a perfect white, clipped to
-    0…1.
+    The first pair contains fractions of the peak that `output_psnr` uses. The second pair contains fractions of a perfect
+    white, clipped to 0…1.
     """
     positive = _positive(white)
     peaks = white_luminance(of_counted(target.mean(axis=0), counted)) * (positive / white.mean())

@@ -440,7 +440,6 @@ def _along(planes: Array, along: Labels) -> Array:
 
 
 def _cut(planes: NDArray[Any], rows: Labels, cols: Labels) -> NDArray[Any]:
-    """Select rows and columns from planes (…, row, col)."""
     return planes.take(rows, -2).take(cols, -1)
 
 

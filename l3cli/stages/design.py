@@ -306,7 +306,7 @@ count = 2
 
 @dataclass(frozen=True)
 class Trial:
-    """A camera with one of the CFAs, and the conditions for evaluating its table."""
+    """A camera with a candidate CFA, and the light levels at which its trained table is evaluated."""
 
     camera: CameraModel
     levels: Sequence[tuple[str, Level]]  # illuminant and exposure of each condition
@@ -511,7 +511,7 @@ class _Run:
         )
 
     def truth(self, made: Design, most: int) -> Truth:
-        """Train and evaluate tables, to verify the predicted errors.
+        """Train and evaluate tables for the best CFAs, to verify their predicted errors.
 
         The CFAs are the `most` best CFAs of the design, the best Bayer CFA, and the rival CFAs in the recipe. If filters
         were tuned, their CFA is included with the original and with the tuned filters.

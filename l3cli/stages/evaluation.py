@@ -181,7 +181,7 @@ DIFFERENT_BRIGHTNESS = 1.05
 
 
 def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> tuple[dict[str, Any], FilesUsed]:
-    """Evaluate a table, the baselines and rival pipelines on the frames of a training set.
+    """Evaluate a table, untrained baselines and pictures from other programs on the frames of a training set.
 
     The pictures of all pipelines are written into the folder `options.pictures`, if it is set. Warnings are printed on the
     console, for example if the table was trained on these frames or for another camera.
@@ -470,7 +470,7 @@ def evaluate_frame(
 
 
 def _planes(path: Path, frame: TrainingPair) -> NDArray[np.floating]:
-    """Read the picture that a rival rendered from a frame.
+    """Read the picture that another program (a rival) rendered from a frame.
 
     Returns
     -------

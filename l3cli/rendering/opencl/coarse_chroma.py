@@ -49,7 +49,7 @@ class DeviceCoarseChroma:
         self._scales: dict[float, list[Any]] = {}  # noise fraction → scale of each filter pass
 
     def blocks(self, track: Track, band: Band, share: float) -> tuple[list[Any], tuple[Any, Any]]:
-        """Enqueue the coarse chroma filter for a band.
+        """Enqueue the coarse chroma filter for a band of rows.
 
         Parameters
         ----------
@@ -84,7 +84,7 @@ class DeviceCoarseChroma:
         return events, (before, last)
 
     def _room(self, track: Track, shape: tuple[int, int]) -> list[Any]:
-        """Return the three block buffers of a track, for planes of size `shape`.
+        """Return three device buffers with one value per block of a plane with the size `shape`.
 
         Their margins are filled with `UNLIKE_ANY`, so that the filter never averages across the edge of the frame.
         """

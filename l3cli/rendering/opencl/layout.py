@@ -106,7 +106,7 @@ Macros = dict[str, int | str]
 
 @dataclass(frozen=True)
 class Cut:
-    """Division of a band into tiles, one per work-group."""
+    """Division of a band of rows into tiles, one per work-group."""
 
     tile: int  # columns per tile
     band: int  # rows per tile
@@ -222,7 +222,7 @@ def least_macros(table: TransformTable) -> Macros:
 
 
 def site_scale(table: TransformTable) -> NDArray[np.float64]:
-    """Return `white_scale` at each CFA site, as an array (CFA row, column).
+    """Return the factor from raw values to the luminance of white (`white_scale`) at each CFA site: (CFA row, column).
 
     `EXTRA_CFA_COLUMNS` further columns repeat the CFA, so that kernels can load whole vectors from any column.
     """
@@ -388,24 +388,24 @@ class WholeWeights:
 
 
 def first_weights(table: TransformTable, first: MosaicLayer) -> Weights:
-    """Return the first layer's weights for outputs. They apply to raw values in DN above black."""
+    """Return the weights with which the first layer computes outputs from raw values in DN above black."""
     taps = by_column(first.weights, 1) / (table.white_level - table.black_level)
     return Weights(taps.astype(np.float32), first.intercept)
 
 
 def first_plane_weights(fixed: FixedPoint, bits: int) -> WholeWeights:
-    """Return the first layer's weights for planes. They apply to raw values minus `raw_middle`."""
+    """Return the fixed-point weights with which the first layer computes planes from raw values minus `raw_middle`."""
     intercept = fixed.intercept + raw_middle(bits) * fixed.weights.sum(axis=-1, dtype=np.int64)
     return WholeWeights(by_column(fixed.weights, 1), intercept.astype(np.int32), fixed.fraction)
 
 
 def refinement_plane_weights(fixed: FixedPoint) -> WholeWeights:
-    """Return a refinement layer's weights for planes."""
+    """Return the fixed-point weights with which a refinement layer computes the planes for the next layer."""
     return WholeWeights(by_column(fixed.weights, PLANES), fixed.intercept.astype(np.int32), fixed.fraction)
 
 
 def refinement_weights(layer: PlaneLayer) -> Weights:
-    """Return a refinement layer's weights for outputs. They apply to integer plane values, in steps of `PLANE_STEP`."""
+    """Return the weights with which a refinement layer computes outputs from planes in steps of `PLANE_STEP`."""
     windows = by_column(layer.weights[..., : layer.window_taps], PLANES)
     taps = np.concatenate([windows, layer.weights[..., layer.window_taps :]], axis=-1)
     return Weights((taps * PLANE_STEP).astype(np.float32), layer.intercept, layer.ratio_taps)

@@ -4,8 +4,8 @@ For each frame, the renderer uploads the raw values, runs one or two kernels per
 result.
 
 Large frames are divided into horizontal bands, so that the required device memory does not grow with the size of the frame.
-Bands alternate between two tracks with separate queues and buffers. While one track computes, the other can upload and
-download.
+Bands alternate between two command queues with separate buffers (`Track`). While one queue computes, the other can upload
+and download.
 """
 
 from collections import deque
@@ -84,7 +84,7 @@ class DeviceShading:
         return frame.shading is not None and frame.shading.colour is not None
 
     def correct(self, frame: RawFrame, track: Track, band: Band) -> Any:
-        """Enqueue the colour shading correction of a band, at the table's black and white levels."""
+        """Enqueue the colour shading correction for a band of rows, whose values have the table's black and white levels."""
         if self._kernel is None:
             macros: Macros = {"FRACTION": FRACTION, "RUN": self._run}
             self._kernel = self._make(
@@ -109,7 +109,7 @@ class DeviceShading:
 
 @dataclass(frozen=True)
 class Unread:
-    """Outputs of a frame that remain on the device, so that the frame need not be rendered again."""
+    """Outputs of a frame that are still on the device, so that they can be encoded without rendering again."""
 
     frame: RawFrame
     values: NDArray[np.uint16]  # copy of the frame's values, because the caller may change them
@@ -386,7 +386,7 @@ class OpenCLRenderer:
         return work
 
     def _bring(self, values: NDArray, frame: RawFrame, track: Track, band: Band, work: Work) -> None:
-        """Enqueue the upload of a band's raw values, including the rows above and below that later steps need."""
+        """Enqueue the upload of the raw values for a band of rows and for its margins, which later steps need."""
         source, (rows, columns) = values[band.raw_rows], band.shape(0)
         track.labels = self._scratch(track.labels, 4 * rows * columns)
         if self._in_place and not self._shading.corrects(frame):
@@ -414,7 +414,7 @@ class OpenCLRenderer:
         return track.raw, *band.mosaic_source, *self._class_buffers, *track.chosen, track.labels
 
     def _site(self, band: Band, frame: RawFrame) -> tuple[np.int32, np.int32]:
-        """Return the CFA row and column of a band's first pixel."""
+        """Return the CFA row and column of the first pixel in a band of rows."""
         return np.int32((frame.phase[0] + band.reads[0].start) % self.table.cfa.shape[0]), np.int32(frame.phase[1])
 
     def _classify_refinement(self, number: int, track: Track, band: Band, frame: RawFrame, work: Work) -> None:
@@ -447,7 +447,7 @@ class OpenCLRenderer:
         self, kernel: Any, encoding: Any, track: Track, band: Band, result: Any, frame: RawFrame, work: Work,
         ending: layout.Macros,
     ) -> None:  # fmt: skip
-        """Enqueue all steps of the last layer for a band, which write to `result`.
+        """Enqueue all steps of the last layer for a band of rows. They write to `result`.
 
         These are the transforms with the encoding. If the table uses them, coarse chroma and the correction of clipped areas
         precede the transforms, and the smoothing of spectra or chroma follows.
@@ -488,7 +488,7 @@ class OpenCLRenderer:
         return (track.first,)
 
     def _target(self, track: Track, parts: list[NDArray], work: Work) -> Any:
-        """Return the buffer for a band's results. If possible, it is the memory of the result array itself."""
+        """Return the buffer for the results of a band of rows. If possible, it is the memory of the result array itself."""
         if self._in_place and len(parts) == 1:
             return work.in_place(track.queue, parts[0], written=True)
         track.result = self._scratch(track.result, sum(part.nbytes for part in parts))
@@ -502,11 +502,10 @@ class OpenCLRenderer:
         return track.run(kernel, grid, cut.group, *arguments, np.int32(rows), np.int32(columns))
 
     def _kernel(self, source: str, macros: layout.Macros, name: str) -> Any:
-        """Compile a program, and return its kernel `name`."""
         return pyopencl().Kernel(self._compiler.build(source, {**macros, **self._cut.macros}), name)
 
     def _bands(self, shape: tuple[int, ...]) -> tuple[Band, ...]:
-        """Return the bands of a frame (rows, columns). The latest result is cached."""
+        """Divide a frame of the size `shape` into bands of rows. The latest result is cached."""
         if self._frame_bands is None or self._frame_bands[0] != shape:
             self._frame_bands = shape, tuple(bands(self.table, shape, self._constant))
         return self._frame_bands[1]

@@ -36,13 +36,13 @@ DARKEST: Macros = {"DARKEST": f"{SMOOTHING_DARKEST!r}f"}
 
 
 def room_for(track: Track, band: Band, outputs: int) -> Any:
-    """Return a track's buffer for a band's outputs before smoothing. It is enlarged if necessary."""
+    """Return the device buffer for the unsmoothed outputs of a band of rows, enlarged if necessary."""
     track.made = scratch(track.queue.context, track.made, 4 * outputs * (band.made.stop - band.made.start) * band.columns)
     return track.made
 
 
 def place_of(band: Band, frame_rows: int) -> tuple[np.int32, ...]:
-    """Return the last arguments of a smoothing kernel, which describe the rows of a band.
+    """Return the last arguments of a smoothing kernel, which state the rows to read and to write.
 
     These are the number of rows to read, the first row to read, the first row to write, and the number of rows in the frame.
     The first rows are counted from the top of the frame.
@@ -80,7 +80,7 @@ class DeviceSpectra:
         return room_for(track, band, self._outputs)
 
     def smooth(self, track: Track, band: Band, result: Any, frame_rows: int) -> Any:
-        """Enqueue the kernel that smooths the outputs of a band, from the buffer that `room` returns.
+        """Enqueue the kernel that smooths the spectra of a band of rows, which are in the buffer that `room` returns.
 
         Parameters
         ----------
@@ -159,7 +159,7 @@ class DeviceChroma:
     def smooth(
         self, track: Track, band: Band, encoding: Any, result: Any, frame: RawFrame, gain: tuple[Any, ...], ending: Macros
     ) -> Any:
-        """Enqueue the kernel that smooths the chroma of a band, from the buffer that `room` returns.
+        """Enqueue the kernel that smooths the chroma of a band of rows, whose outputs are in the buffer that `room` returns.
 
         Parameters
         ----------

@@ -57,10 +57,9 @@ def scratch(context: Any, buffer: Any, size: int) -> Any:
 
 
 class Track:
-    """A command queue and the device buffers for one band at a time. Buffers grow as required."""
+    """A command queue with the device buffers for one band of rows at a time. Buffers grow as required."""
 
     def __init__(self, context: Any, layers: int) -> None:
-        """Create a queue without buffers, for a table with `layers` refinement layers."""
         cl = pyopencl()
         self.queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
         self.raw: Any = None  # raw values for the kernels: `uploaded`, or a buffer in host memory

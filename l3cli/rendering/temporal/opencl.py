@@ -80,7 +80,6 @@ class Device:
         kernel(self.queue, grid, (1, 1) if self.strip > 1 else None, *arguments)
 
     def buffer(self, size: int) -> Any:
-        """Allocate a device buffer of `size` bytes."""
         return pyopencl().Buffer(self.context, pyopencl().mem_flags.READ_WRITE, size)
 
     def cleared(self, size: int) -> Any:
@@ -90,7 +89,6 @@ class Device:
 
 
 def _macros(period: tuple[int, ...]) -> layout.Macros:
-    """Return the macros with which the kernels are compiled."""
     grid = Grid.of((1, 1), period)
     names = (
         "ONE",
@@ -255,7 +253,6 @@ class OpenCLFilter:
         return buffers.vectors[0]
 
     def _weigh(self, raw: Any, vectors: Any) -> None:
-        """Compute the blending weights of all cells."""
         device, buffers, grid, noise = self._device, self._buffers, self._grid, self._noise
         constant = min(grid.sites * noise.constant, reference.MOST_VARIANCE)
         terms = (noise.protect, noise.black, noise.linear, constant, noise.fixed, noise.uneven)

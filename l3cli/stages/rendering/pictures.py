@@ -62,7 +62,7 @@ def setup_of(job: Job, look: Look) -> RenderSetup:
 
 
 class PictureMaker:
-    """Renders frames to pictures."""
+    """Renders the frames of a run to finished pictures, one after another."""
 
     def __init__(self, setup: RenderSetup, renderer: Renderer) -> None:
         self._setup, self._renderer = setup, renderer

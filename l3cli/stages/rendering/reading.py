@@ -106,7 +106,6 @@ class FrameReader:
             yield FrameTask(identified, place, not is_counted or self._exists(identified), is_counted)
 
     def _exists(self, reference: FrameReference) -> bool:
-        """Return whether the picture of a frame is finished."""
         file = self._job.destination.file(reference.number, reference.stem)
         return self._checkpoint is not None and self._checkpoint.has(file, reference.origin)
 

@@ -89,7 +89,7 @@ def _first_number(run: TrainingRun) -> int:
 
 @dataclass(frozen=True)
 class PilotUnit:
-    """A work unit of the pilot, which examines a few patches of each frame: a range of frames."""
+    """A range of frames, of which one worker examines a few patches in the pilot (see the module docstring)."""
 
     training: tuple[TrainingSource, ...]
     remote: bool  # whether the worker is on another machine and must verify the bytes of its files
@@ -106,7 +106,7 @@ def _pilot(unit: PilotUnit) -> Pilot:
 
 
 def _is_pilot_of(unit: PilotUnit, pilot: Pilot) -> bool:
-    """Return whether a result from another machine is a Pilot whose arrays have the required types and shapes."""
+    """Return whether a result from another machine is a Pilot with arrays of the required types and shapes."""
     channels, frames = len(unit.head.camera.channels), len(unit.frames)
     measured = (pilot.shares, pilot.whites, pilot.lights, pilot.exposures, *pilot.observed.values())
     return (
@@ -122,7 +122,7 @@ def _is_pilot_of(unit: PilotUnit, pilot: Pilot) -> bool:
 
 @dataclass(frozen=True)
 class WorkUnit:
-    """A work unit of a pass: blocks of frames, and the sites for which to sum the normal equations."""
+    """Blocks of frames and CFA sites, for which one worker sums normal equations in a training pass."""
 
     training: tuple[TrainingSource, ...]
     remote: bool  # whether the worker is on another machine and must verify the bytes of its files

@@ -75,7 +75,7 @@ def layer_mosaics(run: TrainingRun, number: int) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class LayerUnit:
-    """A work unit of a refinement layer: several blocks of frames, which one process handles."""
+    """Several blocks of frames, which one worker processes when a refinement layer is trained."""
 
     training: tuple[TrainingSource, ...]
     remote: bool  # whether the process runs on another machine, where it must check that its files have the same bytes

@@ -52,7 +52,6 @@ class FrameCache:
             self.bytes += size
 
     def clear(self) -> None:
-        """Remove all frames."""
         self._frames.clear()
         self.bytes = 0
 
@@ -62,7 +61,7 @@ FRAMES = FrameCache()  # shared by all passes in this process
 
 @contextlib.contextmanager
 def cached_for_a_run() -> Iterator[None]:
-    """Clear the frame cache at the end of the block."""
+    """Keep the frame cache during a `with` block, and clear it at the end."""
     try:
         yield
     finally:
@@ -76,7 +75,7 @@ LAYERS = ("first layer", "second layer", "third layer", "fourth layer")
 
 @dataclass(frozen=True)
 class TrainingSource:
-    """A training set that the run uses."""
+    """A training set file, with the indices of the frames that the run uses."""
 
     path: Path
     frames: int  # number of frames
