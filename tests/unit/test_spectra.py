@@ -33,6 +33,7 @@ from l3cli.stages import evaluation
 from l3cli.system.console import Gathering, Silent
 from tests.helpers.calls import L3
 from tests.helpers.cameras import bayer_camera
+from tests.helpers.paths import CONFIGS
 from tests.helpers.tables import colorimetric_table
 
 HALVES = np.arange(380.0, 780.1, 0.5)
@@ -497,3 +498,30 @@ def observer() -> tuple[np.ndarray, np.ndarray]:
     """Wavelengths (nm) and V(λ)."""
     grid = np.arange(360.0, 831.0)
     return grid, spectra.colour_matching_functions(grid)[1]
+
+
+def test_curves_that_end_before_the_infrared_are_said(tmp_path: Path, l3: L3) -> None:
+    """Without wavelength_nm, the camera has the wavelengths of its file. The warning still counts what lies beyond them."""
+    text = (CONFIGS / "cameras/from_curves.toml").read_text().replace("from_curves.csv", "curves.csv")
+    (tmp_path / "camera.toml").write_text(text)
+    nm = np.arange(400.0, 701.0, 10)
+    shape = np.exp(-0.5 * ((nm[:, None] - [600, 540, 460]) / 30) ** 2)
+
+    def stated(end: float) -> list[str]:
+        percent = np.maximum(50 * shape, [end, 0, 0])
+        percent[0] = 0
+        rows = [",".join(f"{value:.4f}" for value in row) for row in np.column_stack([nm, percent])]
+        (tmp_path / "curves.csv").write_text("\n".join(["wavelength_nm,r (%),g (%),b (%)", *rows]) + "\n")
+        code, out, _ = l3("check", tmp_path / "camera.toml")
+        assert code == 0
+        return [line for line in out.splitlines() if "curves.csv contains values" in line]
+
+    (line,) = stated(8)
+    curve, grid = np.maximum(50 * shape[:, 0], 8), np.arange(400.0, 831.0)
+    curve[0] = 0
+    electrons = np.interp(grid, nm, curve) * spectra.illuminant("D65", grid)  # D65 is the first illuminant of the check
+    found = re.search(r"channel r would collect (\d+)%", line)
+    assert found is not None
+    assert int(found[1]) == pytest.approx(100 * electrons[grid > 700].sum() / electrons.sum(), abs=1)
+    assert line.endswith("at all wavelengths at which the curves are not zero")
+    assert stated(0.5) == []
