@@ -246,7 +246,7 @@ class ClassRule:
 
     @property
     def lost_cases(self) -> int:
-        """One more than the number of saturation cases in which all channels of at least one colour filter clip."""
+        """Number of values that `lost` can return: 0, and one per saturation case with a completely clipped filter."""
         return self.cases - self.spared_cases
 
     @property
@@ -352,9 +352,10 @@ class ClassRule:
         return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # kinds may be unsigned: avoid negative differences
 
     def lost(self, kind: Any) -> Any:
-        """Return the sequence number, from 1, of a saturation case in which all channels of a colour filter clip.
+        """Number the saturation cases in which all channels of a colour filter clip, from 1.
 
-        The result is 0 for chromas and for all other saturation cases.
+        The result is the number of the saturation case that `kind` stands for. It is 0 for chromas and for all other
+        saturation cases.
         """
         return np.maximum(self.case(kind) - self.spared_cases, 0)
 

@@ -144,7 +144,7 @@ class Condition:
             raise ValueError(f"{place}/edges must have as many levels as the table, {levels}")
 
     def pictured(self, taken: list[int]) -> "Condition":
-        """Return the condition with only those first-layer outputs that `taken` lists by index.
+        """Return the condition with a part of the first layer's outputs: those with the indices `taken`.
 
         Refinement layers stay unchanged.
         """

@@ -28,7 +28,7 @@ Rows = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]  # a table for the te
 
 @dataclass(frozen=True)
 class LightMoments:
-    """Second moments of patches and targets under one illuminant, summed over the patches of each group.
+    """Weighted sums of products of the spectra and targets of patches under one illuminant, for each group of patches.
 
     The spectrum at each tap is described by `terms` coefficients. The entries of the moments are, in this order:
 
@@ -76,7 +76,7 @@ class LightMoments:
 
 @dataclass(frozen=True, repr=False)
 class SceneMoments(Artifact):
-    """Second moments of the spectra that scenes produce on unfiltered pixels behind a lens (docs/arrays.md#which-array)."""
+    """Statistics of the light that scenes produce on pixels without filters (docs/arrays.md#which-array)."""
 
     kind: ClassVar[str] = "scene moments"
     made_by: ClassVar[str] = '"l3 design moments"'

@@ -190,7 +190,7 @@ class NoiseFit:
 
 @dataclass(frozen=True)
 class SweepFit:
-    """Fit of the monochromatic captures (Eq. 1 in docs/method.md#responsivity)."""
+    """Fit of the responsivities to captures of monochromatic light (Eq. 1 in docs/method.md#responsivity)."""
 
     residual: NDArray[np.float64] = data(
         "float64", "channel", doc="RMS residual of Eq. 1, relative to the largest value of the channel"
@@ -212,7 +212,7 @@ class SweepFit:
 
 @dataclass(frozen=True)
 class ChartFit:
-    """Fit of the chart captures (Eq. 2 in docs/method.md#gain-and-offset), with measured and predicted patch values."""
+    """Fit of gain and offset to captures of charts (docs/method.md#gain-and-offset), with measured and predicted values."""
 
     alpha: NDArray[np.float64] = data(
         "float64", "channel", unit="DN/photon", doc="slope of Eq. 2: response at the peak of the channel's responsivity"

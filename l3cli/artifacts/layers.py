@@ -57,7 +57,7 @@ class MosaicLayer:
             raise ValueError(f"weights has {self.weights.shape[2]} taps, but the patch has {self.rule.patch**2} pixels")
 
     def pictured(self, taken: list[int]) -> "MosaicLayer":
-        """Return the layer with only those outputs that `taken` lists by index."""
+        """Return the layer with a part of its outputs: those with the indices `taken`."""
         return replace(self, weights=self.weights[:, taken], intercept=self.intercept[:, taken])
 
 

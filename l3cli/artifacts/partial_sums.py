@@ -1,4 +1,4 @@
-"""Partial sums: the normal equations from one shard's training frames.
+"""Partial sums: the least-squares normal equations, summed over the training frames of one shard.
 
 A file contains the sums of one layer, separately for each canonical site and class. A canonical site represents all CFA
 sites that are symmetric to it. The layer is the first layer (docs/method.md#exact-sums) or a refinement layer

@@ -55,7 +55,7 @@ class GradientScale:
 
     @property
     def scale(self) -> "GradientScale":
-        """The gradient scale alone, without the other fields of a class rule."""
+        """The part of the class rule that normalises gradients by their noise."""
         return GradientScale(self.gradient_factor, self.gradient_shift)
 
     def scaled_as(self, scale: "GradientScale") -> Self:
@@ -88,7 +88,7 @@ class PlaneClasses(GradientScale):
 
     @property
     def structures(self) -> int:
-        """Number of structures or tree leaves, into which only the pixels without clipped channels are divided."""
+        """Number of structures or tree leaves. They distinguish only pixels without clipped channels nearby."""
         raise NotImplementedError
 
     @property
@@ -253,7 +253,7 @@ class TreeRule(PlaneClasses):
 
     @property
     def leaf(self) -> NDArray[np.int64]:
-        """Index of each leaf among the leaves. For an inner node, the index of the first leaf below it.
+        """Number of each leaf, counted from 0, by node. An inner node has the number of the first leaf below it.
 
         Leaves are numbered in depth-first order, and the first branch of a node comes before the second.
         """

@@ -303,7 +303,7 @@ class TransformTable(Artifact):
         )
 
     def _with_edges(self, edges: NoiseEdges) -> "TransformTable":
-        """Return the table without conditions, and with the class rules adapted to a different noise."""
+        """Return the table with class rules for a different noise, and without transforms for other conditions."""
         usual = self.first.rule
         features = usual.features and replace(usual.features, constants=edges.constants)
         rule = replace(usual, contrast_edges=edges.contrast_edges, features=features)

@@ -244,7 +244,7 @@ def _scene(wanted: WantedScene, run: SimulationRun) -> Scene:
 
 
 def _spectra(run: SimulationRun, chunk: Chunk) -> dict[str, NDArray]:
-    """Sum the second moments of photon spectra over scenes.
+    """Sum the `spectral_power` of scenes: mean products of the photon rates at each pair of wavelengths.
 
     Returns one array named "power", with the shape (illuminant, wavelength, wavelength).
     """
@@ -258,7 +258,7 @@ def _spectra(run: SimulationRun, chunk: Chunk) -> dict[str, NDArray]:
 
 
 def _moments(run: SimulationRun, bases: Sequence[NDArray[np.float64]], patches: int, chunk: Chunk) -> dict[str, NDArray]:
-    """Sum the second moments of random patches over scenes, using the same patches under all illuminants.
+    """Sum the moments of random patches over scenes (`LightMoments`), using the same patches under all illuminants.
 
     The names of the returned arrays end in the index of the illuminant.
     """
@@ -455,7 +455,7 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, 
 
 @dataclasses.dataclass(frozen=True)
 class _Run:
-    """The steps of a design run, which store their results so that an interrupted run can be resumed."""
+    """The steps of `l3 design`. Each step stores its results, so that an interrupted run can be continued."""
 
     task: Task
     parts: Parts

@@ -406,8 +406,8 @@ def figures_by_gain(
 class FrameRenderers:
     """A cache of renderers for the frames of a training set.
 
-    If the table has transforms for several illuminants, they are blended for each frame's illuminant
-    (docs/method.md#several-illuminants). The blend is reported once per illuminant.
+    If the table has transforms for several illuminants, they are interpolated for each frame's illuminant
+    (docs/method.md#several-illuminants). The weights are reported once per illuminant.
     """
 
     def __init__(self, backend: str, table: TransformTable, console: Console) -> None:
@@ -416,7 +416,7 @@ class FrameRenderers:
         self._reported: set[str] = set()
 
     def of(self, frame: TrainingPair) -> Renderer:
-        """Return the renderer for a frame, and report the blend if the illuminant is new."""
+        """Return the renderer for a frame. If the illuminant is new, report the weights of the interpolation."""
         mix = mix_for(self._table, white_of(frame)) if self._table.lights else None
         if mix and frame.illuminant not in self._reported:
             self._reported.add(frame.illuminant)

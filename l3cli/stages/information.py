@@ -110,7 +110,7 @@ def raw_frame(file: Path) -> dict[str, Any]:
 
 
 def _camera_name(names: list[str]) -> str | None:
-    """Join the names of a camera, without names that are part of another name."""
+    """Join the names of a camera, such as maker and model, and omit names that are part of another name."""
     return (
         " ".join(name for name in dict.fromkeys(names) if not any(name != other and name in other for other in names))
         or None

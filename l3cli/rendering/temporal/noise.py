@@ -170,10 +170,12 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, grid: 
 
 
 def _shared_variances(camera: CameraModel, grid: Grid) -> tuple[float, float]:
-    """Return the variances that shared offsets add to the squared sums of 9 cells, and to the squared sum of 3 × 3 cells.
+    """Return the variances that row and column noise adds to two measures of the difference between frames.
 
-    The variances are in (e-)², in addition to the variance of independent noise in all pixels. After a correction with the
-    picture itself, the slow part of the offsets remains, which is the same in all rows of the cells.
+    The first measure is the sum of the squares of 9 cells, each summed over its pixels. The second measure is the square of
+    the sum over 3 × 3 cells. The variances are in (e-)², in addition to the variance of independent noise in all pixels.
+    After a correction with the picture itself, the slow part of the offsets remains, which is the same in all rows of the
+    cells.
     """
     corrected, noise = camera.corrected_noise(), camera.noise
     rows = corrected.row_temporal_noise**2, noise.row_temporal_noise**2, 0

@@ -261,7 +261,7 @@ class WhiteSource(Protocol):
 
     @property
     def held(self) -> bool:
-        """Whether all frames of a sequence use the white point of the first frame."""
+        """Whether all frames of a sequence use the white point of the first frame, instead of their own."""
         ...
 
     def white(self, frame: RawFrame) -> SceneWhite | None:

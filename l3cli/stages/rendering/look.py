@@ -24,7 +24,7 @@ class Look:
     """Settings of a rendering that may depend on the first frame."""
 
     table: TransformTable  # table that contains only the transforms for the illuminant of the frames
-    light_mix: Mix | None  # mixture of illuminants for which the transforms are blended; None: common transforms
+    light_mix: Mix | None  # mixture of illuminants for which transforms are interpolated; None: common transforms
     overrides: RawOverrides  # Job.overrides, with the estimated gain
     sequence: FrameSequence  # the frames, which are read with these overrides
     rendition: Rendition

@@ -19,7 +19,7 @@ EVEN, KEPT, LOST = "even", "kept", "lost"
 
 @dataclass
 class Tally:
-    """Counts of the frames in a rendering, updated during the run."""
+    """Numbers of frames, and other facts about a rendering, which are updated while it runs."""
 
     done: int = 0  # number of frames whose pictures exist
     made: int = 0  # number of frames whose pictures this run has rendered

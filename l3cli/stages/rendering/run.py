@@ -142,7 +142,7 @@ def _unfinished(
 
 
 def _origins(job: Job, look: Look) -> FrameOrigins:
-    """Return the object that computes the origin of each picture.
+    """Return the object that computes each picture's origin, a digest of its frame and settings.
 
     With flicker removal, the origin includes the number of frames, because the last pictures depend on it.
     """
