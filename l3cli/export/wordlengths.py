@@ -84,16 +84,17 @@ def drawn_mosaic(table: TransformTable, shape: tuple[int, int], seed: int) -> ND
 
 
 def make_vector(table: TransformTable) -> Vector:
-    """Compute the test vector of a table.
+    """Compute the test vector of a table."""
+    frame, reference = _vector_frame(table), ReferenceRenderer(table)
+    labels = np.stack([reference.labels(frame, layer) for layer in range(len(table.layers))])
+    return Vector(frame.values, frame.phase, labels, reference.outputs(frame))
 
-    If the CFA period permits, the phase is not (0, 0), so that the test detects phase errors.
-    """
+
+def _vector_frame(table: TransformTable) -> RawFrame:
+    """Return the frame of the test vector. If the CFA period permits, its phase is not (0, 0), to detect phase errors."""
     phase = (1 % table.cfa.shape[0], 1 % table.cfa.shape[1])
     raw = drawn_mosaic(table, VECTOR_SHAPE, VECTOR_SEED)
-    frame = RawFrame("test vector", raw, table.black_level, table.white_level, phase)
-    reference = ReferenceRenderer(table)
-    labels = np.stack([reference.labels(frame, layer) for layer in range(len(table.layers))])
-    return Vector(raw, phase, labels, reference.outputs(frame))
+    return RawFrame("test vector", raw, table.black_level, table.white_level, phase)
 
 
 @dataclass(frozen=True)
@@ -262,7 +263,7 @@ def in_words(weights: NDArray[np.float32], bits: int, scale: Scale) -> Words:
 def word_costs(table: TransformTable) -> tuple[Cost, ...]:
     """Measure the accuracy of fixed-point weights on a random mosaic, for each word length in LENGTHS and each `Scale`."""
     weights = table.layers[-1].weights
-    outputs = _outputs(table)
+    outputs = _outputs(table, _drawn_frame(table))
     expected = outputs(weights)
     scales: tuple[Scale, ...] = ("class", "table")
     costs = []
@@ -285,25 +286,51 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
     worst : float
         Largest error before rounding, in output steps.
     """
-    outputs, step = _outputs(table), 2.0 ** -output_fraction(table)
-    expected, short = outputs(table.layers[-1].weights), outputs(words.in_floats(table))
-    rounded = np.clip(np.rint(short / step), -OUTPUT_TOP, OUTPUT_TOP) * step
-    whole = np.clip(expected, -OUTPUT_TOP * step, OUTPUT_TOP * step)
-    if table.later and (clipping := table.later[-1].clipping):
-        mosaic = mosaic_of(_drawn_frame(table), table)
-        whole = replaced(whole, mosaic, clipping.response, clipping.white)
-        rounded = np.rint(replaced(rounded, mosaic, clipping.response, clipping.white) / step) * step
-    if table.clipped_white is not None:
-        whole = limited_to_white(whole, table.clipped_white)
-        rounded = np.rint(limited_to_white(rounded / step, np.rint(table.clipped_white / step))) * step
-    if smoothing := table.chroma_smoothing:
-        least = least_luminance(_drawn_frame(table), table)
-        whole = smoothed_chroma(whole, smoothing, table.white_point, least)
-        rounded = np.rint(smoothed_chroma(rounded, smoothing, table.white_point, least) / step) * step
-    error = np.square(rounded - whole).mean()
+    frame, step = _drawn_frame(table), 2.0 ** -output_fraction(table)
+    expected, short = _both_outputs(table, words, frame)
+    error = np.square(_finished(short, table, frame, rounded=True) - _finished(expected, table, frame, rounded=False)).mean()
     if table.later and table.later[-1].coarse_chroma:
         error += step**2 / 12 * 2 / 3
     return float(-10 * np.log10(max(error, 1e-20))), float(np.abs(short - expected).max() / step)
+
+
+def vector_steps(table: TransformTable, words: ShortWords) -> int:
+    """Return the largest error of the outputs of the test vector with 16-bit words, in output steps.
+
+    It includes all steps after the last layer, as in `short_cost`.
+    """
+    frame, step = _vector_frame(table), 2.0 ** -output_fraction(table)
+    expected, short = _both_outputs(table, words, frame)
+    whole = np.rint(_finished(expected, table, frame, rounded=False) / step)
+    return round(np.abs(_finished(short, table, frame, rounded=True) / step - whole).max())
+
+
+def _both_outputs(
+    table: TransformTable, words: ShortWords, frame: RawFrame
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Render a frame to the outputs (output, row, col) of the last layer, with float weights and with 16-bit words."""
+    outputs = _outputs(table, frame)
+    return outputs(table.layers[-1].weights), outputs(words.in_floats(table))
+
+
+def _finished(outputs: NDArray[np.float64], table: TransformTable, frame: RawFrame, *, rounded: bool) -> NDArray[np.float64]:
+    """Apply the range of 16-bit outputs and all steps after the last layer to outputs (output, row, col).
+
+    If `rounded` is true, the outputs are rounded to output steps before and after each step, as in the C source.
+    """
+    step = 2.0 ** -output_fraction(table)
+
+    def in_steps(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.rint(values / step) * step if rounded else values
+
+    made = np.clip(in_steps(outputs), -OUTPUT_TOP * step, OUTPUT_TOP * step)
+    if table.later and (clipping := table.later[-1].clipping):
+        made = in_steps(replaced(made, mosaic_of(frame, table), clipping.response, clipping.white))
+    if table.clipped_white is not None:
+        made = in_steps(limited_to_white(made, in_steps(table.clipped_white)))
+    if smoothing := table.chroma_smoothing:
+        made = in_steps(smoothed_chroma(made, smoothing, table.white_point, least_luminance(frame, table)))
+    return made
 
 
 def chosen_words(table: TransformTable, costs: tuple[Cost, ...]) -> Words:
@@ -319,9 +346,9 @@ def _drawn_frame(table: TransformTable) -> RawFrame:
     return RawFrame("drawn", drawn_mosaic(table, SHAPE, SEED), table.black_level, table.white_level)
 
 
-def _outputs(table: TransformTable) -> Callable[[NDArray[np.float32]], NDArray[np.float64]]:
-    """Return a function that renders a random mosaic to outputs (output, row, col) with given last-layer weights."""
-    frame, reference = _drawn_frame(table), ReferenceRenderer(table)
+def _outputs(table: TransformTable, frame: RawFrame) -> Callable[[NDArray[np.float32]], NDArray[np.float64]]:
+    """Return a function that renders a frame to outputs (output, row, col) with given last-layer weights."""
+    reference = ReferenceRenderer(table)
     labels = reference.labels(frame, len(table.layers) - 1)
     if not table.later:
         first = table.first

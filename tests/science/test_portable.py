@@ -238,6 +238,19 @@ def test_short_words_cost_what_is_stated(built: Built) -> None:
     assert f"relative to the reference is {stated:.1f} dB" in (built.folder / "README.md").read_text(encoding="utf-8")
 
 
+@needs_compiler
+@pytest.mark.parametrize("built", [case for case in CASES if case[1] == "int16"], indirect=True, ids=", ".join)
+def test_short_words_pass_the_test_of_their_own_folder(built: Built) -> None:
+    compile_c(built.folder, "-O1", "l3.c", "test.c", "l3_table.o", "-o", "l3_test")
+    done = subprocess.run(["./l3_test"], cwd=built.folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+    found = re.search(r"largest difference of an output: (\d+) ", done.stdout)
+    limit = re.search(r"L3_TEST_STEPS (\d+)", (built.folder / "l3_table.h").read_text())
+    assert found is not None
+    assert limit is not None
+    assert int(limit[1]) <= 2 * max(1, int(found[1])), "a limit that no fault exceeds tests nothing"
+
+
 def test_the_range_of_short_words_holds_the_clipped_white() -> None:
     table, brighter = (with_clipped_white(a_table([[0, 1], [1, 2]], 12, 64.0), luminance) for luminance in (1.6, 5.6))
     assert (output_fraction(table), output_fraction(brighter)) == (12, 11)
