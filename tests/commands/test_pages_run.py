@@ -204,6 +204,29 @@ def test_the_keys_of_a_page_are_keys(name: str, block: str, tmp_path: Path) -> N
     load_recipe(tmp_path / "a.toml", kind)
 
 
+def test_the_example_finds_where_a_jpeg_begins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cv2 = pytest.importorskip("cv2")
+    monkeypatch.chdir(tmp_path)
+    picture = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 256, (200, 260, 3), np.uint8), (0, 0), 2)
+    cv2.imwrite("picture.png", picture)
+    cv2.imwrite("photo.jpg", cv2.convertScaleAbs(picture[6:191, 10:250], alpha=1.2, beta=9))
+    (script,) = (block for name, block in BLOCKS if name == "raw-files.md" and block.startswith("import cv2"))
+    exec(script, {})
+    assert capsys.readouterr().out == 9 * "6 10\n"
+
+
+def test_the_example_removes_the_headers_of_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    clip = np.random.default_rng(0).integers(0, 4096, (2, 1080, 1920), np.uint16)
+    parts = [bytes(512), *(bytes(64) + frame.astype("<u2").tobytes() for frame in clip)]
+    Path("clip.raw").write_bytes(b"".join(parts))
+    (script,) = fenced(PAGES["raw-files.md"], "python")
+    exec(script, {})
+    np.testing.assert_array_equal(np.load("clip.npy"), clip)
+
+
 def test_the_example_of_spectral_scenes_prints_what_is_shown(
     l3: L3, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

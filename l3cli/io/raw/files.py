@@ -97,7 +97,7 @@ class RawFormat:
 CAMERA_RAW = RawFormat(
     tuple(
         "." + name for name in ("3fr", "ari", "arw", "cr2", "cr3", "dcr", "erf", "fff", "iiq", "kdc", "mos", "mrw")
-        + ("nef", "nrw", "orf", "pef", "raf", "rw2", "rwl", "srw", "x3f")
+        + ("nef", "nrw", "orf", "pef", "raf", "rw2", "rwl", "srw")
     ),
     "libraw", "camera raws", "pixels without masked borders, array (2×2 or X-Trans), orientation, levels and white balance",
 )  # fmt: skip

@@ -38,6 +38,12 @@ UNREAD = (
     ),
     UnreadFormat("a Blackmagic RAW video", (".braw",), "record CinemaDNG, or export DNG frames"),
     UnreadFormat("a video of a Canon camera", (".crm",), "export DNG frames"),
+    UnreadFormat(
+        "a raw file of a Foveon sensor",
+        (".x3f",),
+        "use another raw converter, because these sensors have no colour filter array",
+        ((0, b"FOVb"),),
+    ),
     UnreadFormat("an MXF or transport stream video", (".mxf", ".mts", ".m2ts"), "record FFV1 in MKV, or DNG frames"),
     UnreadFormat("an Andor SIF file", (".sif",), EXPORT, ((0, b"Andor Technology Multi-Channel File"),)),
     UnreadFormat("a Princeton Instruments SPE file", (".spe",), EXPORT),
