@@ -37,6 +37,7 @@ from l3cli.io.measurements import read_photos
 from l3cli.io.raw.cfa_codes import LETTERS, code_of
 from l3cli.io.raw.files import BY_SUFFIX, is_photo
 from l3cli.io.raw.libraw import stated
+from l3cli.io.raw.unread import refuse_unread
 from l3cli.options.commands import InitOptions
 from l3cli.physics.mosaic import array_rows, shifted_cfa
 from l3cli.recipes.builtin import (
@@ -360,7 +361,8 @@ def _camera_line(place: Path, camera: PhotoCamera) -> str:
 def _raw_files(photo: Path) -> list[Path]:
     """List the raw files in a folder. If `photo` is a file, the list contains this file.
 
-    Raises InputFileError if there are no raw files, or if the file contains no metadata about the camera.
+    Raises InputFileError if there are no raw files, if l3 does not read the format of the file, or if the file contains no
+    metadata about the camera.
     """
     if not photo.is_dir():
         if photo.exists() and photo.suffix.lower() in BY_SUFFIX and not is_photo(photo):
@@ -368,6 +370,8 @@ def _raw_files(photo: Path) -> list[Path]:
                 f"{photo} contains no metadata about the camera; use a DNG or a camera's own raw file, or start from a "
                 'recipe, such as "l3 init bayer DIR"'
             )
+        if photo.is_file() and not is_photo(photo):
+            refuse_unread(photo)
         return [photo]
     files = sorted(path for path in photo.iterdir() if is_photo(path) and path.is_file())
     if not files:

@@ -167,6 +167,8 @@ def test_known_formats_are_never_called_damaged(tmp_path: Path) -> None:
 def test_a_format_that_is_not_read_is_refused_in_a_line(tmp_path: Path, l3: L3, refused: Refused, raw_table: Path) -> None:
     (tmp_path / "a.xisf").write_bytes(b"XISF0100" + bytes(5000))
     assert "FITS" in refused(3, "render", raw_table, tmp_path / "a.xisf", "-o", tmp_path / "a.png")
+    (tmp_path / "a.jpg").write_bytes(b"\xff\xd8\xff" + bytes(5000))
+    assert "use the camera's raw file" in refused(3, "init", "--from", tmp_path / "a.jpg", tmp_path / "folder")
     (tmp_path / "a.ser").write_bytes(ser(SMOOTH, 8))
     assert l3("render", raw_table, tmp_path / "a.ser", "-o", tmp_path / "out/", "--backend", "reference", "--quiet")[0] == 0
     assert len(list((tmp_path / "out").glob("*.png"))) == 3
