@@ -36,7 +36,7 @@ WIDTH_FRACTION = 8  # number of fractional bits of the dither widths
 DITHERED = 0.6
 # The rule dithers between two centres only if their squared distance, multiplied by the squared number of channels, is at
 # least this value.
-TWINS = 2e-3
+MIN_DITHER_DISTANCE = 2e-3
 TURN = 159  # 256 × 0.618 (golden ratio), so that the dither thresholds of consecutive sites are evenly distributed
 SNIPPET = "features/chroma.cl"
 
@@ -139,7 +139,7 @@ def chroma_widths(rule: ClassRule) -> NDArray[np.int32]:
     nearest = np.where(distance > 0, distance, np.inf).min(axis=1)
     if not rule.chroma_dither or not np.isfinite(nearest).all():
         return np.zeros(rule.chromas, np.int32)
-    nearest[nearest * rule.channels**2 < TWINS] = 0.0
+    nearest[nearest * rule.channels**2 < MIN_DITHER_DISTANCE] = 0.0
     return np.rint(DITHERED * nearest * (CHROMA_SCALE << WIDTH_FRACTION)).astype(np.int32)
 
 

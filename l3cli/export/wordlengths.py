@@ -44,9 +44,10 @@ HIGH_BITS = 12  # bits in the high part of a value, including the sign
 # value and for the rounding constant, which are added later.
 MAX_WEIGHT, MAX_SUM = 2.0**15 - 8, 2.0**31 - 2**26
 MAX_FRACTION = 24
-# The correlation R between the values of two taps is assumed to be exp(−distance / REACH), with the distance in pixels. For
-# taps of different channels, it is multiplied by OTHER. NOISE is added to a tap's correlation with itself.
-REACH, OTHER, NOISE = 8.0, 0.8, 0.2
+# The correlation R between the values of two taps is assumed to be exp(−distance / CORRELATION_PIXELS), with the distance in
+# pixels. For taps of different channels, it is multiplied by CROSS_CHANNEL. NOISE_VARIANCE is added to a tap's correlation
+# with itself.
+CORRELATION_PIXELS, CROSS_CHANNEL, NOISE_VARIANCE = 8.0, 0.8, 0.2
 LENGTHS = (8, 10, 12, 14, 16)  # word lengths to compare, in bits
 SHAPE, SEED = (64, 256), 4  # (rows, columns) and seed of the mosaic for the comparison
 ENOUGH_PSNR_DB = 60.0  # sufficient PSNR, an RMS error of 0.001 for a peak of 1
@@ -160,7 +161,7 @@ def short_words(table: TransformTable) -> ShortWords:
             "the last layer's transforms are too large for 16-bit words; export the table with ‹words› float32"
         )
     scaled = weights * 2.0 ** fraction[..., None]
-    of_windows = [_rounded(scaled[members, :, :windows], likeness) for members, likeness in _likenesses(table)]
+    of_windows = [_rounded(scaled[members, :, :windows], correlation) for members, correlation in _correlations(table)]
     whole = np.concatenate([np.concatenate(of_windows), np.rint(scaled[..., windows:])], axis=-1)
     intercept = (intercept + black * weights.sum(axis=-1)) * 2.0 ** (fraction - split) - black * whole.sum(
         axis=-1
@@ -175,7 +176,7 @@ def _value_step(table: TransformTable) -> float:
     return PLANE_STEP if table.later else 1 / (table.white_level - table.black_level)
 
 
-def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[np.float64]]]:
+def _correlations(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[np.float64]]]:
     """Return the groups of classes with the same assumed correlation R (tap, tap) between window taps.
 
     Each item is a mask of classes, and R. If the table has a single layer, each CFA site is a group. In a refinement layer,
@@ -184,13 +185,13 @@ def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[
     layer = table.layers[-1]
     if table.later:
         source = np.repeat(np.arange(len(table.outputs)), table.later[-1].side ** 2)
-        return [(np.ones(len(layer.weights), bool), _likeness(source, 0.0))]
+        return [(np.ones(len(layer.weights), bool), _correlation(source, 0.0))]
     site = table.first.rule.split(np.arange(len(layer.weights))).site
     channels = window_channels(table.cfa, table.first.rule.patch)
-    return [(site == number, _likeness(channel, OTHER)) for number, channel in enumerate(channels)]
+    return [(site == number, _correlation(channel, CROSS_CHANNEL)) for number, channel in enumerate(channels)]
 
 
-def _likeness(source: NDArray[np.int64], other: float) -> NDArray[np.float64]:
+def _correlation(source: NDArray[np.int64], other: float) -> NDArray[np.float64]:
     """Return the assumed correlation R (tap, tap) between the taps of a square window.
 
     `source` is the channel or plane of each tap. Between different sources, the correlation is multiplied by `other`.
@@ -198,20 +199,20 @@ def _likeness(source: NDArray[np.int64], other: float) -> NDArray[np.float64]:
     side = math.isqrt(len(source) if other else np.count_nonzero(source == source[0]))
     row, column = np.divmod(np.arange(len(source)) % side**2, side)
     distance = np.hypot(row[:, None] - row, column[:, None] - column)
-    alike = np.where(source[:, None] == source, 1.0, other) * np.exp(-distance / REACH)
-    return alike + NOISE * np.eye(len(source))
+    correlation = np.where(source[:, None] == source, 1.0, other) * np.exp(-distance / CORRELATION_PIXELS)
+    return correlation + NOISE_VARIANCE * np.eye(len(source))
 
 
-def _rounded(weights: NDArray[np.float64], likeness: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rounded(weights: NDArray[np.float64], correlation: NDArray[np.float64]) -> NDArray[np.float64]:
     """Round weights (class, output, tap) to integers, so that the error eᵀ R e is small.
 
-    e is the vector of rounding errors, and R is `likeness`. The search starts from the nearest integers. In each step, it
+    e is the vector of rounding errors, and R is `correlation`. The search starts from the nearest integers. In each step, it
     changes the weight for which the error decreases most.
     """
     flat = weights.reshape(-1, weights.shape[-1])
     whole = np.rint(flat)
-    slope = (whole - flat) @ likeness  # half of the derivative of eᵀ R e with respect to each weight
-    own = np.diag(likeness)
+    slope = (whole - flat) @ correlation  # half of the derivative of eᵀ R e with respect to each weight
+    own = np.diag(correlation)
     for _ in range(2 * flat.shape[1]):
         change = own - 2 * np.abs(slope)  # change of eᵀ R e if a weight changes by 1 in the better direction
         tap = change.argmin(axis=1)
@@ -221,7 +222,7 @@ def _rounded(weights: NDArray[np.float64], likeness: NDArray[np.float64]) -> NDA
         taken = tap[moved]
         step = -np.sign(slope[moved, taken])
         whole[moved, taken] += step
-        slope[moved] += step[:, None] * likeness[taken]
+        slope[moved] += step[:, None] * correlation[taken]
     return whole.reshape(weights.shape)
 
 

@@ -23,8 +23,8 @@ from l3cli.artifacts.training_set import (
 )
 from l3cli.errors import InputFileError, RecipeError, listed, raised_as
 from l3cli.evaluation import standards
+from l3cli.evaluation.camera_match import camera_differences
 from l3cli.evaluation.evaluation import OURS, Evaluation, raw_of, require_cfa, white_of
-from l3cli.evaluation.likeness import unlike
 from l3cli.evaluation.pictures import frame_pictures, planes_of
 from l3cli.evaluation.quality import VIEWING
 from l3cli.evaluation.sequence import CELL, SequenceEvaluation, SequenceFigures
@@ -343,7 +343,7 @@ def for_frames(
     (name, transforms), (other, camera) = table, frames
     require_cfa(transforms, camera)
     made = at_gain(transforms, gain_of_frames(transforms, camera))
-    if not (differences := unlike(made, camera)):
+    if not (differences := camera_differences(made, camera)):
         return made, ""
     text = (
         f"{name} was trained for camera {transforms.camera_name}, but {other} contains frames of camera {camera.name}: the "

@@ -19,8 +19,8 @@ from l3cli.artifacts.training_set import TrainingPair, TrainingSet, TrainingSetR
 from l3cli.calibration.figures import figures, shortfall
 from l3cli.classes.names import class_name
 from l3cli.errors import InputFileError, RecipeError
+from l3cli.evaluation.camera_match import camera_differences
 from l3cli.evaluation.evaluation import Evaluation, raw_of
-from l3cli.evaluation.likeness import unlike
 from l3cli.evaluation.pictures import frame_pictures, holds_chart, patch_colours
 from l3cli.evaluation.sequence import read_sequence_figures
 from l3cli.io.pictures.openimageio import jpeg
@@ -266,7 +266,7 @@ def _warn_of_cameras(given: Given, console: Console) -> None:
     held = [(entry, head.camera) for entry, head in given.of(TrainingSet)]
     known: Sequence[tuple[Entry, Any]] = [*tables, *cameras, *held]
     for entry, camera in cameras if tables else [*cameras, *held]:
-        if entry is not known[0][0] and (differences := unlike(known[0][1], camera)):
+        if entry is not known[0][0] and (differences := camera_differences(known[0][1], camera)):
             text = f"the cameras differ in {differences}; make a separate report for each camera"
             console.warn(f"{entry.name} and {known[0][0].name} are for different cameras: {text}")
 

@@ -19,7 +19,7 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.cli import run
-from l3cli.evaluation.likeness import MAX_DELTA_E, colour_difference, noise_ratio, unlike
+from l3cli.evaluation.camera_match import MAX_DELTA_E, camera_differences, colour_difference, noise_ratio
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.tables import colorimetric_table
@@ -555,7 +555,7 @@ def frames(pipeline: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str
 def test_frames_of_another_camera_are_warned_of(pipeline: Path, frames: dict[str, Path], l3: L3) -> None:
     camera = load_camera(pipeline / "camera.toml")
     for name, (_, _, words) in OTHERS.items():
-        assert words in unlike(camera, load_camera(frames[name].with_suffix(".toml")))
+        assert words in camera_differences(camera, load_camera(frames[name].with_suffix(".toml")))
     call = ("evaluate", pipeline / "table.h5", frames["colour"], "--json")
     code, out, err = l3(*call)
     assert code == 0
@@ -571,7 +571,7 @@ def test_frames_with_other_channels_are_refused(
 ) -> None:
     frames = a_set(tmp_path / "five.h5", fiveband, 1)
     assert "different CFAs" in refused(3, "evaluate", pipeline / "table.h5", frames)
-    assert unlike(bayer, fiveband) == "channels (r, g, b; r, g, b, o, c)"
+    assert camera_differences(bayer, fiveband) == "channels (r, g, b; r, g, b, o, c)"
 
 
 def test_the_camera_measured_or_described_is_the_same(pipeline: Path, l3: L3) -> None:
@@ -586,8 +586,8 @@ def test_what_two_calibrations_differ_by_is_no_other_camera(bayer: CameraModel) 
     again = dataclasses.replace(bayer, name="B", responsivity=moved * np.array([1.05, 1.03, 1.02])[:, None])
     again = dataclasses.replace(again, noise=dataclasses.replace(bayer.noise, read_noise=4.4), gain=bayer.gain * 1.02)
     assert 0.1 < colour_difference(bayer, again) < MAX_DELTA_E
-    assert unlike(bayer, again) == unlike(again, bayer) == ""
-    assert "colours" in unlike(bayer, dataclasses.replace(bayer, responsivity=bayer.responsivity[[1, 0, 2]]))
+    assert camera_differences(bayer, again) == camera_differences(again, bayer) == ""
+    assert "colours" in camera_differences(bayer, dataclasses.replace(bayer, responsivity=bayer.responsivity[[1, 0, 2]]))
 
 
 def test_a_table_that_does_not_hold_its_camera_knows_its_sensitivity(

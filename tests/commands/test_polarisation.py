@@ -15,7 +15,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set, stokes_signals, white_signal
 from l3cli.classes.planes import planes_basis
 from l3cli.cli import run
-from l3cli.evaluation.likeness import colour_difference, unlike
+from l3cli.evaluation.camera_match import camera_differences, colour_difference
 from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
 from l3cli.physics.stokes import STOKES, dolp, luminance_name, stokes_of
@@ -70,7 +70,7 @@ def test_two_calibrations_of_channels_with_the_same_filter_are_one_camera(name: 
     rng = np.random.default_rng(7)
     again = replace(camera, responsivity=camera.responsivity * rng.normal(1.0, 0.002, camera.responsivity.shape))
     assert colour_difference(again, camera) < 0.5
-    assert unlike(again, camera) == ""
+    assert camera_differences(again, camera) == ""
 
 
 def test_tables_have_two_layers(trained: Path) -> None:

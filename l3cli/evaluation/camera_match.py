@@ -30,7 +30,7 @@ MAX_NOISE_RATIO = 1.25  # largest ratio of noise standard deviations
 NOISE_SIGNALS = (0.0, 0.01, 0.1, 0.5)  # fractions of full scale at which noise is compared
 
 
-def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
+def camera_differences(known: TransformTable | CameraModel, camera: CameraModel) -> str:
     """Describe in which properties two camera models differ too much to be two calibrations of the same camera.
 
     Parameters
