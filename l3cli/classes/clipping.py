@@ -28,6 +28,9 @@ SMALLEST_BLOCK = 4  # smallest side of a block in pixels
 QUAD = 2  # side of a quad in pixels
 # The degree to which a channel clips increases from 0 at the channel mean BEGINS to 1 at CLIPS (fractions of full scale).
 BEGINS, CLIPS = 0.6, 0.985
+# The corrections for clipped channels (`added_terms`) begin at a higher channel mean. Otherwise, they would change colours
+# that do not clip yet.
+CORRECTED_FROM = 0.65
 # l3 mixes the outputs with their replacement. The weight of the replacement increases from 0 to 1 while the mean of the
 # brightest channel increases from KEPT to REPLACED (fractions of full scale).
 KEPT, REPLACED = 0.85, 0.975
@@ -214,7 +217,12 @@ def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, 
         signal += (2 - abs(i - 1)) * (2 - abs(j - 1)) / 16 * neighbour
         widest = np.maximum(widest, np.maximum(np.abs(neighbour - own).max(axis=0), ranges.take(at)))
     plain = 1 - smooth_step(widest, PLAIN, TEXTURED)
-    return numbers, signal, plain, plain * smooth_step(signal.max(axis=0), KEPT, REPLACED)
+    return numbers, signal, plain, plain * replaced_fraction(signal)
+
+
+def replaced_fraction(signal: Array) -> Array:
+    """Return the fraction of the outputs to replace in uniform areas, from the channel means (channel, …)."""
+    return smooth_step(signal.max(axis=0), KEPT, REPLACED)
 
 
 def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Array:
@@ -222,13 +230,13 @@ def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Ar
 
     The parameters are the same as for `replaced` and `plain_blocks`.
     """
-    numbers, signal, plain, share = plain_blocks(means, spread)
+    numbers, signal, _, share = plain_blocks(means, spread)
     level = grey_level(signal, white)
     grey = np.minimum(level * white[:, None], 1.0)
     usual = np.einsum("so,sb->ob", response[0, :-1], signal - grey + level * white[:, None])
     added = np.einsum("tso,tsb->ob", response[1:], added_terms(signal) - added_terms(grey))
     maps = np.zeros((REPLACEMENT_MAPS, spread.size))
-    maps[:, numbers] = np.concatenate([share[None], share * usual + plain * added])
+    maps[:, numbers] = np.concatenate([share[None], share * (usual + added)])
     return maps.reshape(-1, *spread.shape)
 
 
@@ -419,7 +427,7 @@ def added_terms(signal: Array) -> Array:
     """Return the regressors from which corrections of clipped outputs are computed.
 
     Each channel has a group of terms: all channel means and the constant 1, multiplied by the degree to which the channel
-    clips.
+    clips, which increases from CORRECTED_FROM to CLIPS.
 
     Parameters
     ----------
@@ -432,7 +440,7 @@ def added_terms(signal: Array) -> Array:
         One group of terms per channel.
     """
     terms = np.concatenate([signal, np.ones_like(signal[:1])])
-    return np.asarray(smooth_step(signal, BEGINS, CLIPS)[:, None] * terms)
+    return np.asarray(smooth_step(signal, CORRECTED_FROM, CLIPS)[:, None] * terms)
 
 
 def smooth_step(values: Array, low: float, high: float) -> Array:

@@ -90,8 +90,8 @@ LAYERS = {
     "four blocks nearest to the pixel. Outside the frame, the difference is 0",
     "clipping": "if a layer has it, the last step is output = (1 - w) * output + q. w and q are computed for blocks of "
     "clip_sides pixels. The last blocks are moved into the frame. w and q are interpolated bilinearly, at the middle of "
-    "the group of 2 x 2 pixels that contains the pixel. w = f * S(max s; kept); q = w * sum of response[0] * (s - h + g * "
-    "white) + f * (A(s) - A(h)); A(s) = sum over channels c of S(s[c]; begins) * response[1 + c] * s; h = min(g * white, "
+    "the group of 2 x 2 pixels that contains the pixel. w = f * S(max s; kept); q = w * (sum of response[0] * (s - h + g "
+    "* white) + A(s) - A(h)); A(s) = sum over channels c of S(s[c]; corrected) * response[1 + c] * s; h = min(g * white, "
     "1); g = m + min S(s; begins) * (max (s / white) - m); m = mean of s / white, weighted by max(1 - S(s; begins), "
     "faintest); f = 1 - S(d; plain); S(x; a, b) = t^2 (3 - 2 t), t = (x - a) / (b - a) clamped to 0 and 1. s contains the "
     "means of the channels as fractions of full scale, at most 1, averaged over 3 x 3 blocks with the weights 1 2 1 in "
@@ -357,7 +357,7 @@ def _constants(table: TransformTable) -> dict[str, Any]:
         values |= {"plane_step": PLANE_STEP, "plane_top": PLANE_TOP, "coarse": COARSE, "coarse_top": COARSE_TOP,
                    "ratio_darkest": RATIO_DARKEST, "alike": ALIKE.tolist(),
                    "clip_sides": list(clipping.block_sides(table.cfa)), "faintest": clipping.MIN_WEIGHT,
-                   "begins": [clipping.BEGINS, clipping.CLIPS],
+                   "begins": [clipping.BEGINS, clipping.CLIPS], "corrected": [clipping.CORRECTED_FROM, clipping.CLIPS],
                    "kept": [clipping.KEPT, clipping.REPLACED], "plain": [clipping.PLAIN, clipping.TEXTURED],
                    "hue_spacing": [clipping.hue_spacing(side) for side in clipping.block_sides(table.cfa)],
                    "spread_spacing": list(zip(*map(clipping.spread_spacings, clipping.block_sides(table.cfa)), strict=True)),

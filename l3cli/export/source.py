@@ -293,6 +293,7 @@ def _clipping_known(table: TransformTable) -> dict[str, float | int | str]:
         "clip_bright": clipping.first_bright(table.black_level, table.white_level),
         "clip_faintest": clipping.MIN_WEIGHT,
         "clip_begins": clipping.BEGINS,
+        "clip_corrected": clipping.CORRECTED_FROM,
         "clip_clips": clipping.CLIPS,
         "clip_kept": clipping.KEPT,
         "clip_replaced": clipping.REPLACED,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.layers import Clipping
 from l3cli.artifacts.training_set import LightSpectrum
-from l3cli.classes.clipping import CLIPS, added_terms, grey_level
+from l3cli.classes.clipping import CLIPS, added_terms, grey_level, replaced_fraction
 from l3cli.training.plain_surfaces import plain_surfaces
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
     target, seen = _target(outputs * scale, over, white, 1 / of_white.min()), np.minimum(signals * scale, 1.0)
     level = grey_level(seen.T, of_white)[:, None]
     grey = np.minimum(level * of_white, 1.0)
-    features = (added_terms(seen.T) - added_terms(grey.T)).reshape(-1, len(seen)).T
+    features = (replaced_fraction(seen.T) * (added_terms(seen.T) - added_terms(grey.T))).reshape(-1, len(seen)).T
     missing = np.where(over[:, None] >= CLIPS, target - (seen - grey + level * of_white) @ colours, 0.0)
     weight = np.maximum(over, 1.0) ** -EXPOSURE_POWER / (len(signals) * target[:, 1] * seen.mean(axis=1))
     features, missing = (np.concatenate([each, _changes(each)]) for each in (features, missing))

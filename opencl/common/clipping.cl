@@ -129,7 +129,7 @@ INLINE floats grey_level(const floats *signal, __global const float *white) {
 // Adds the corrections of X, Y and Z for clipped channels, weighted by `factor` times the degree to which each channel clips.
 INLINE void add_clipped(floats added[3], const floats *signal, floats factor, __global const float *response) {
     for (int c = 0; c < CHANNELS; c++) {
-        const floats weight = factor * smooth_step(signal[c], BEGINS, CLIPS);
+        const floats weight = factor * smooth_step(signal[c], CORRECTED_FROM, CLIPS);
         if (!any_lane(weight != 0.0f)) continue;
         __global const float *of_channel = response + (c + 1) * (CHANNELS + 1) * 3;
         for (int o = 0; o < 3; o++) {
@@ -141,8 +141,7 @@ INLINE void add_clipped(floats added[3], const floats *signal, floats factor, __
 }
 
 // Computes the first four maps and the uniformity of blocks. `response` is an array (clipped, signal, output), followed by the signals of
-// white. Ignored blocks are skipped. So are blocks with means far below BEGINS, because uniform areas that contain them are not bright. Bright
-// blocks without a clipped channel are not skipped, because a grey of the same brightness may clip.
+// white. Ignored blocks are skipped. So are blocks with means far below BEGINS, because uniform areas that contain them are not bright.
 INLINE floats replacement_of(floats made[4], int y, int x, __global const float *restrict means, __global const float *restrict response,
                              int rows, int columns) {
     const size_t plane = (size_t)rows * columns, at = (size_t)y * columns;
@@ -169,8 +168,8 @@ INLINE floats replacement_of(floats made[4], int y, int x, __global const float 
         brightest = more_of(brightest, signal[k]);
     }
     const floats plain = counted ? 1.0f - smooth_step(widest, PLAIN_UP_TO, TEXTURED_FROM) : (floats)0.0f;
-    if (!any_lane(plain > 0.0f)) return plain;
     made[0] = plain * smooth_step(brightest, KEPT_UP_TO, REPLACED_FROM);
+    if (!any_lane(made[0] > 0.0f)) return plain;
     __global const float *white = response + (CHANNELS + 1) * (CHANNELS + 1) * 3;
     const floats level = grey_level(signal, white);
     floats grey[CHANNELS];
@@ -179,8 +178,8 @@ INLINE floats replacement_of(floats made[4], int y, int x, __global const float 
         grey[k] = less_of(seen, 1.0f);
         for (int o = 0; o < 3; o++) made[1 + o] += made[0] * (signal[k] - grey[k] + seen) * response[k * 3 + o];
     }
-    add_clipped(made + 1, signal, plain, response);
-    add_clipped(made + 1, grey, -plain, response);
+    add_clipped(made + 1, signal, made[0], response);
+    add_clipped(made + 1, grey, -made[0], response);
     return plain;
 }
 

@@ -14,7 +14,7 @@ from l3cli.artifacts.layers import Clipping
 from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
-from l3cli.classes.clipping import BEGINS, CLIPS, WHITE_FROM, Mosaic, block_maps, block_sides, clipping_maps, replaced
+from l3cli.classes.clipping import CLIPS, KEPT, WHITE_FROM, Mosaic, block_maps, block_sides, clipping_maps, replaced
 from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.physics.display import daylight, delta_e_2000, displayed, displayed_xyz, lab
@@ -53,10 +53,10 @@ def soft_frame(table: TransformTable, shape: tuple[int, int], phase: tuple[int, 
 
 
 def vivid_frame(table: TransformTable, white: NDArray) -> RawFrame:
-    """A plain frame in which no channel clips yet, but those of a grey as bright do: white has least of its brightest."""
+    """A uniform frame in which no channel clips, but channels of a grey of the same brightness do."""
     rows, cols = np.indices((40, 52))
     channel = table.cfa[rows % table.cfa.shape[0], cols % table.cfa.shape[1]]
-    signal = np.where(channel == white.argmin(), BEGINS - 0.01, BEGINS - 0.03) + 0.02 * (-1.0) ** (rows // 2 + cols // 2)
+    signal = np.where(channel == white.argmin(), KEPT + 0.05, KEPT + 0.03) + 0.02 * (-1.0) ** (rows // 2 + cols // 2)
     values = signal * (table.white_level - table.black_level) + table.black_level
     return RawFrame("vivid", values.astype(np.uint16), table.black_level, table.white_level, (0, 0))
 
@@ -186,8 +186,34 @@ def test_light_rises_smoothly_to_white(name: str) -> None:
     assert np.diff(luminance).max() < 0.1 * luminance.max()
     np.testing.assert_allclose(np.array(seen) / luminance[:, None], np.broadcast_to(white, (60, 3)), rtol=0.002)
     np.testing.assert_allclose(luminance[-1], 1 / signals.min(), rtol=0.002)
-    dark = clipping_maps(flat(0.99 * BEGINS * signals / signals.max(), camera.cfa), clipping.response, clipping.white)
-    assert not dark.any()
+
+
+@pytest.mark.parametrize("name", ["bayer", "fiveband"])
+def test_colours_that_do_not_clip_do_not_change(name: str) -> None:
+    camera, radiance, _, to_signals, clipping = learned(name)
+    surfaces = (spectra.reflectance_library(camera.wavelength) * radiance) @ to_signals
+    for signals in surfaces[::40]:
+        brightest = 0.99 * KEPT / signals.max()
+        assert not clipping_maps(flat(brightest * signals, camera.cfa), clipping.response, clipping.white).any()
+
+
+def test_an_evening_sky_keeps_its_colours_until_it_clips() -> None:
+    """The sky becomes brighter and more orange downwards. In the last rows, green reaches 0.97 of full scale."""
+    camera, radiance, white, to_signals, clipping = learned("bayer")
+    blue, orange = (np.interp(camera.wavelength, [450, 550, 650], at)[:, None] for at in ([0.8, 0.6, 0.6], [0.4, 0.8, 1.1]))
+    orange_share = np.linspace(0, 1, 200)
+    sky = radiance[:, None] * ((1 - orange_share) * blue + orange_share * orange) * np.linspace(0.5, 1, 200)
+    signals, truth = to_signals.T @ sky, sky.T @ spectra.xyz_weights(camera.wavelength).T
+    level = 0.97 / signals.max()
+    rows, cols = np.indices((200, 16))
+    values = 60000 * level * signals[camera.cfa[rows % 2, cols % 2], rows]
+    mosaic = Mosaic(values.astype(np.uint16), camera.cfa, 0.0, 60000.0)
+    outputs = np.broadcast_to(level * truth.T[:, :, None], (3, *rows.shape))
+    changed = replaced(outputs, mosaic, clipping.response, clipping.white)
+    pictures = (displayed(xyz, white, 1 / clipping.white.max()) for xyz in (changed, outputs))
+    error = delta_e_2000(*(lab(displayed_xyz(picture), daylight()) for picture in pictures))
+    assert error.max() > 0.2  # the outputs are replaced
+    assert error.mean() < 0.2
 
 
 @pytest.mark.parametrize(("name", "most"), [("bayer", 2.1), ("fiveband", 3.0)])

@@ -74,7 +74,7 @@ static float grey_level(const float *signal) {
 /* Adds the contributions of clipped channels to the outputs, times a factor. */
 static void add_clipped(const float *signal, float factor, float *added) {
     for (int c = 0; c < L3_CHANNELS; c++) {
-        const float weight = factor * smooth_step(signal[c], L3_CLIP_BEGINS, L3_CLIP_CLIPS);
+        const float weight = factor * smooth_step(signal[c], L3_CLIP_CORRECTED, L3_CLIP_CLIPS);
         const float *response = l3_clip_response + (c + 1) * (L3_CHANNELS + 1) * 3;
         for (int o = 0; o < 3; o++) {
             float sum = response[L3_CHANNELS * 3 + o];
@@ -110,8 +110,8 @@ static void map_block(const float *means, int y, int x, int rows, int columns, f
         grey[c] = seen < 1 ? seen : 1;
         for (int o = 0; o < 3; o++) map[1 + o] += map[0] * (signal[c] - grey[c] + seen) * l3_clip_response[c * 3 + o];
     }
-    add_clipped(signal, plain, map + 1);
-    add_clipped(grey, -plain, map + 1);
+    add_clipped(signal, map[0], map + 1);
+    add_clipped(grey, -map[0], map + 1);
 }
 
 /* A block in which some channels clip, but not all. */

@@ -260,6 +260,7 @@ def clipping_macros(table: TransformTable) -> Macros:
     rows, columns = clipping.block_sides(table.cfa)
     steps = {
         "BEGINS": clipping.BEGINS,
+        "CORRECTED_FROM": clipping.CORRECTED_FROM,
         "CLIPS": clipping.CLIPS,
         "KEPT_UP_TO": clipping.KEPT,
         "REPLACED_FROM": clipping.REPLACED,
