@@ -255,46 +255,43 @@ INLINE void estimate(floats *made, const Clipped *block, const floats *total, fl
     }
 }
 
-// Estimates the unclipped signals of blocks from similar unclipped blocks nearby, and stores them with their reliability. If no channel or
+// Estimates the unclipped signals of blocks from similar unclipped blocks nearby, stores them, and returns their reliability. If no channel or
 // every channel of a block clips, the reliability is NOT_ESTIMATED and the signals are undefined.
 #define NOT_ESTIMATED (-1.0f)
 
-INLINE void store_estimates(int y, int x, __global const float *restrict means, __global const float *restrict response,
-                            __global float *restrict estimates, int rows, int columns) {
+INLINE floats store_estimates(int y, int x, __global const float *restrict means, __global const float *restrict response,
+                              __global float *restrict estimates, int rows, int columns) {
     const size_t plane = (size_t)rows * columns, at = (size_t)y * columns;
     const Clipped block = clipped_at(means + at, x, plane, columns);
     const ints estimated = block.most > 0.0f && block.least < 1.0f;
-    floats reliability = NOT_ESTIMATED;
-    if (any_lane(estimated)) {
-        floats signal[CHANNELS], total[CHANNELS] = {0.0f}, likeness = 0.0f, alike;
-        for (int i = -HUE_STEPS; i <= HUE_STEPS; i++) {
-            const int line = y + i * HUE_ROWS;
-            if (line < 0 || line >= rows) continue;
-            for (int j = -HUE_STEPS; j <= HUE_STEPS; j++) {
-                floats brightest = 0.0f;
-                for (int k = 0; k < CHANNELS; k++) {
-                    signal[k] = blocks_at(means + k * plane + (size_t)line * columns, x + j * HUE_COLUMNS, columns);
-                    brightest = more_of(brightest, signal[k]);
-                }
-                const ints counted = brightest > 0.0f && brightest < REPLACED_FROM;
-                if (!any_lane(counted)) continue;
-                const floats trust = counted ? 1.0f - smooth_step(brightest, KEPT_UP_TO, REPLACED_FROM) : (floats)0.0f;
-                const int near = (HUE_STEPS + 1 - (i < 0 ? -i : i)) * (HUE_STEPS + 1 - (j < 0 ? -j : j));
-                const floats scale = scale_to(&block, signal, &alike);
-                const floats weight = near * (1.0f / HUE_WEIGHTS) * trust * trust * alike * alike;
-                likeness += weight;
-                for (int k = 0; k < CHANNELS; k++) total[k] += weight * scale * signal[k];
+    if (!any_lane(estimated)) return (floats)NOT_ESTIMATED;
+    floats signal[CHANNELS], total[CHANNELS] = {0.0f}, likeness = 0.0f, alike;
+    for (int i = -HUE_STEPS; i <= HUE_STEPS; i++) {
+        const int line = y + i * HUE_ROWS;
+        if (line < 0 || line >= rows) continue;
+        for (int j = -HUE_STEPS; j <= HUE_STEPS; j++) {
+            floats brightest = 0.0f;
+            for (int k = 0; k < CHANNELS; k++) {
+                signal[k] = blocks_at(means + k * plane + (size_t)line * columns, x + j * HUE_COLUMNS, columns);
+                brightest = more_of(brightest, signal[k]);
             }
+            const ints counted = brightest > 0.0f && brightest < REPLACED_FROM;
+            if (!any_lane(counted)) continue;
+            const floats trust = counted ? 1.0f - smooth_step(brightest, KEPT_UP_TO, REPLACED_FROM) : (floats)0.0f;
+            const int near = (HUE_STEPS + 1 - (i < 0 ? -i : i)) * (HUE_STEPS + 1 - (j < 0 ? -j : j));
+            const floats scale = scale_to(&block, signal, &alike);
+            const floats weight = near * (1.0f / HUE_WEIGHTS) * trust * trust * alike * alike;
+            likeness += weight;
+            for (int k = 0; k < CHANNELS; k++) total[k] += weight * scale * signal[k];
         }
-        __global const float *white = response + (CHANNELS + 1) * (CHANNELS + 1) * 3;
-        for (int k = 0; k < CHANNELS; k++) signal[k] = white[k];
-        scale_to(&block, signal, &alike);
-        const floats own = 1.0f - block.most, found = likeness / (likeness + HUE_DOUBT + GREY_DOUBT * alike * alike);
-        reliability = estimated ? (1.0f - block.least) * more_of(own * own, found) : (floats)NOT_ESTIMATED;
-        estimate(signal, &block, total, likeness, white);
-        for (int k = 0; k < CHANNELS; k++) store_blocks(estimates + k * plane + at, x, columns, signal[k]);
     }
-    store_blocks(estimates + CHANNELS * plane + at, x, columns, reliability);
+    __global const float *white = response + (CHANNELS + 1) * (CHANNELS + 1) * 3;
+    for (int k = 0; k < CHANNELS; k++) signal[k] = white[k];
+    scale_to(&block, signal, &alike);
+    const floats own = 1.0f - block.most, found = likeness / (likeness + HUE_DOUBT + GREY_DOUBT * alike * alike);
+    estimate(signal, &block, total, likeness, white);
+    for (int k = 0; k < CHANNELS; k++) store_blocks(estimates + k * plane + at, x, columns, signal[k]);
+    return estimated ? (1.0f - block.least) * more_of(own * own, found) : (floats)NOT_ESTIMATED;
 }
 
 // Stores the first `count` values of LANES blocks in their float8.
@@ -321,37 +318,42 @@ INLINE void load_float8(floats *made, __global const float *restrict maps, int x
 #endif
 }
 
-// Stores the first four maps of blocks, their uniformity, and the estimates of their signals. `spread_at` computes the hue maps. The maps and
-// estimates of LANES blocks are not stored if all of them are ignored. Few blocks are not.
+// Each group of LANES blocks in a row has a flag. Few groups have maps, and fewer have estimates.
+#define HAS_MAPS 1       // otherwise, the maps of the group are zero, but not stored
+#define HAS_ESTIMATES 2  // otherwise, all blocks of the group are NOT_ESTIMATED
+#define GROUP_OF(y, x, columns) ((size_t)(y) * (((columns) + LANES - 1) / LANES) + (x) / LANES)
+
+// Stores the first four maps of blocks, their uniformity, the estimates of their signals, and the flag of the group. `spread_at` computes the
+// hue maps. `others` is the second buffer for estimates, in which `spread_at` relies on NOT_ESTIMATED blocks.
 INLINE void store_maps_of(int y, int x, __global const float *restrict means, __global const float *restrict response,
-                          __global float *restrict maps, __global float *restrict uniformity, __global float *restrict estimates, int rows,
-                          int columns) {
-    floats made[8];
-    const size_t at = (size_t)y * columns;
-    if (!any_lane(repeated_blocks_at(means + ((size_t)CHANNELS * rows + y) * columns, x, columns) != NO_RANGE)) {
-        store_blocks(uniformity + at, x, columns, 0.0f);
-        store_blocks(estimates + (size_t)CHANNELS * rows * columns + at, x, columns, NOT_ESTIMATED);
-        return;
+                          __global float *restrict maps, __global float *restrict uniformity, __global float *restrict estimates,
+                          __global float *restrict others, __global uchar *restrict flags, int rows, int columns) {
+    const size_t at = (size_t)y * columns, reliability = (size_t)CHANNELS * rows * columns + at;
+    floats made[8], plain = 0.0f, reliable = NOT_ESTIMATED;
+    if (any_lane(repeated_blocks_at(means + reliability, x, columns) != NO_RANGE)) {
+        plain = replacement_of(made, y, x, means, response, rows, columns);
+        reliable = store_estimates(y, x, means, response, estimates, rows, columns);
     }
+    const bool estimated = any_lane(reliable != NOT_ESTIMATED), mapped = estimated || any_lane(plain > 0.0f);
+    store_blocks(uniformity + at, x, columns, plain);
+    store_blocks(estimates + reliability, x, columns, reliable);
+    store_blocks(others + reliability, x, columns, reliable);
+    flags[GROUP_OF(y, x, columns)] = (mapped ? HAS_MAPS : 0) | (estimated ? HAS_ESTIMATES : 0);
+    if (!mapped) return;
     for (int m = 4; m < 8; m++) made[m] = 0.0f;
-    const floats plain = replacement_of(made, y, x, means, response, rows, columns);
-    store_blocks(uniformity + (size_t)y * columns, x, columns, plain);
-    store_float8(maps + (size_t)8 * y * columns, x, columns, made, 8);
-    store_estimates(y, x, means, response, estimates, rows, columns);
+    store_float8(maps + 8 * at, x, columns, made, 8);
 }
 
 // Spreads the estimates `from` over uniform areas, by `down` rows and `across` columns of blocks, and stores the new estimates in `to`. The
 // last step also stores the hue in `maps`, and adds the estimated outputs to the first four maps.
 INLINE void spread_at(int y, int x, __global const float *restrict means, __global const float *restrict response,
                       __global const float *restrict uniformity, __global const float *restrict from, __global float *restrict to,
-                      __global float *restrict maps, int down, int across, int last, int rows, int columns) {
+                      __global float *restrict maps, __global const uchar *restrict flags, int down, int across, int last, int rows,
+                      int columns) {
+    if (!(flags[GROUP_OF(y, x, columns)] & HAS_ESTIMATES)) return;
     const size_t plane = (size_t)rows * columns, at = (size_t)y * columns;
     floats best = blocks_at(from + CHANNELS * plane + at, x, columns), alike;
     const ints chosen = best != NOT_ESTIMATED;
-    if (!any_lane(chosen)) {
-        store_blocks(to + CHANNELS * plane + at, x, columns, best);
-        return;
-    }
     const Clipped block = clipped_at(means + at, x, plane, columns);
     floats likeness = best, signal[CHANNELS], total[CHANNELS], opens = FAINTEST;
     for (int k = 0; k < CHANNELS; k++) {
@@ -427,18 +429,15 @@ INLINE Between between(int pixel, int side, int blocks) {
     return made;
 }
 
-// Returns the maps of a block. They are zero, but not stored, if the block is ignored.
-INLINE float8 maps_of(__global const float8 *maps, __global const float *range, size_t block) {
-    return range[block] == NO_RANGE ? (float8)0.0f : maps[block];
+// Returns the maps of the block in row y and column x.
+INLINE float8 maps_of(__global const float8 *maps, __global const uchar *flags, int y, int x, int columns) {
+    return flags[GROUP_OF(y, x, columns)] ? maps[(size_t)y * columns + x] : (float8)0.0f;
 }
 
-// Interpolates the maps of a quad. `range` contains the ranges of the blocks.
-INLINE float8 read_maps_at(Between down, Between across, __global const float8 *maps, __global const float *range, int block_columns) {
-    const size_t above = (size_t)down.low * block_columns, below = (size_t)down.high * block_columns;
-    const float8 top_left = maps_of(maps, range, above + across.low), top_right = maps_of(maps, range, above + across.high);
-    const float8 left = top_left + down.share * (maps_of(maps, range, below + across.low) - top_left);
-    const float8 right = top_right + down.share * (maps_of(maps, range, below + across.high) - top_right);
-    return left + across.share * (right - left);
+// Interpolates the maps of column x between two rows.
+INLINE float8 maps_between_rows(Between down, __global const float8 *maps, __global const uchar *flags, int x, int columns) {
+    const float8 above = maps_of(maps, flags, down.low, x, columns);
+    return above + down.share * (maps_of(maps, flags, down.high, x, columns) - above);
 }
 
 INLINE void store_maps(__global float *restrict to, size_t at, size_t quads, float8 made) {

@@ -119,52 +119,53 @@ KERNEL_OF_ONE measure_blocks(__global const ushort *restrict raw, __global const
 }
 
 KERNEL_OF_ONE map_blocks(__global const float *restrict means, __global const float *restrict response, __global float *restrict maps,
-                         __global float *restrict uniformity, __global float *restrict estimates, int rows, int columns) {
-    EACH_OF_TILE store_maps_of(y, x, means, response, maps, uniformity, estimates, rows, columns);
+                         __global float *restrict uniformity, __global float *restrict estimates, __global float *restrict others,
+                         __global uchar *restrict flags, int rows, int columns) {
+    EACH_OF_TILE store_maps_of(y, x, means, response, maps, uniformity, estimates, others, flags, rows, columns);
 }
 
 KERNEL_OF_ONE spread_estimates(__global const float *restrict means, __global const float *restrict response,
                                __global const float *restrict uniformity, __global const float *restrict from, __global float *restrict to,
-                               __global float *restrict maps, int down, int across, int last, int rows,
+                               __global float *restrict maps, __global const uchar *restrict flags, int down, int across, int last, int rows,
                                int columns) {
-    EACH_OF_TILE spread_at(y, x, means, response, uniformity, from, to, maps, down, across, last, rows, columns);
+    EACH_OF_TILE spread_at(y, x, means, response, uniformity, from, to, maps, flags, down, across, last, rows, columns);
 }
 
-// Number of blocks in a row from which LANES quads are interpolated.
-#define BLOCKS_ACROSS (2 * LANES / BLOCK_COLUMNS + 2)  // at most LANES
+// Largest number of blocks in a row between which LANES quads are interpolated.
+#define MOST_BLOCKS ((4 * (LANES - 1) + 2 * BLOCK_COLUMNS - 1) / (2 * BLOCK_COLUMNS) + 2)
 
-// Whether any map of the first `count` blocks from column x differs from zero.
-INLINE bool any_map(__global const float8 *maps, __global const float *range, int x, int count, int columns) {
-    if (!any_lane(repeated_blocks_at(range, x, columns) != NO_RANGE)) return false;
-    float8 sum = 0.0f;
-    for (int b = x; b < x + count; b++)
-        if (range[b] != NO_RANGE) sum += maps[b] * maps[b];
-    const float4 sums = sum.lo + sum.hi;
-    return sums.x + sums.y + sums.z + sums.w != 0.0f;
+// Whether any block from column `low` to column `high` of a row has maps.
+INLINE bool any_maps(__global const uchar *flags, int y, int low, int high, int columns) {
+    bool any = false;
+    for (size_t group = GROUP_OF(y, low, columns); group <= GROUP_OF(y, high, columns); group++) any = any || flags[group];
+    return any;
 }
 
-COMPILED_ONCE read_maps_of_tile(int x0, int y0, __global const float8 *restrict maps, __global const float *restrict means,
+COMPILED_ONCE read_maps_of_tile(int x0, int y0, __global const float8 *restrict maps, __global const uchar *restrict flags,
                                 __global float *restrict to, int first, int block_rows, int block_columns, int plane_rows,
                                 int plane_columns, int rows, int columns) {
     const size_t quads = QUADS_PLANE(plane_rows, plane_columns);
-    __global uchar *flags = QUAD_FLAGS(to, plane_rows, plane_columns);
-    __global const float *range = means + (size_t)CHANNELS * block_rows * block_columns;
+    __global uchar *quad_flags = QUAD_FLAGS(to, plane_rows, plane_columns);
     for (int y = y0; y < min(y0 + BAND, rows); y++) {
         const Between down = between(first + 2 * y, BLOCK_ROWS, block_rows);
-        const size_t above = (size_t)down.low * block_columns, below = (size_t)down.high * block_columns;
         for (int x = x0; x < min(x0 + TILE, columns); x += LANES) {
-            const int start = between(2 * x, BLOCK_COLUMNS, block_columns).low, count = min(BLOCKS_ACROSS, block_columns - start);
-            const bool any = any_map(maps + above, range + above, start, count, block_columns)
-                          || any_map(maps + below, range + below, start, count, block_columns);
-            flags[QUAD_FLAG(y, x, plane_columns)] = any;
-            for (int i = x; any && i < min(x + LANES, columns); i++)
-                store_maps(to, (size_t)y * QUADS_STRIDE(plane_columns) + i, quads,
-                           read_maps_at(down, between(2 * i, BLOCK_COLUMNS, block_columns), maps, range, block_columns));
+            const int end = min(x + LANES, columns), low = between(2 * x, BLOCK_COLUMNS, block_columns).low;
+            const int high = between(2 * (end - 1), BLOCK_COLUMNS, block_columns).high;
+            const bool any = any_maps(flags, down.low, low, high, block_columns) || any_maps(flags, down.high, low, high, block_columns);
+            quad_flags[QUAD_FLAG(y, x, plane_columns)] = any;
+            if (!any) continue;
+            float8 block[MOST_BLOCKS];
+            for (int b = low; b <= high; b++) block[b - low] = maps_between_rows(down, maps, flags, b, block_columns);
+            for (int i = x; i < end; i++) {
+                const Between across = between(2 * i, BLOCK_COLUMNS, block_columns);
+                const float8 left = block[across.low - low], right = block[across.high - low];
+                store_maps(to, (size_t)y * QUADS_STRIDE(plane_columns) + i, quads, left + across.share * (right - left));
+            }
         }
     }
 }
 
-KERNEL_OF_ONE read_maps(__global const float8 *restrict maps, __global const float *restrict means, __global float *restrict to, int first, int block_rows,
-                        int block_columns, int plane_rows, int plane_columns, int rows, int columns) {
-    read_maps_of_tile(GROUP_COLUMN, GROUP_ROW, maps, means, to, first, block_rows, block_columns, plane_rows, plane_columns, rows, columns);
+KERNEL_OF_ONE read_maps(__global const float8 *restrict maps, __global const uchar *restrict flags, __global float *restrict to, int first,
+                        int block_rows, int block_columns, int plane_rows, int plane_columns, int rows, int columns) {
+    read_maps_of_tile(GROUP_COLUMN, GROUP_ROW, maps, flags, to, first, block_rows, block_columns, plane_rows, plane_columns, rows, columns);
 }

@@ -3,9 +3,8 @@
 // The two pixels of a pair are PAIR columns apart. If the CFA width permits, they have the same CFA site, and therefore the same class in uniform
 // areas. The weights, which are most of the data, are then read once for both.
 
-// Number of unrolled loop iterations of four pixels each. A loop that is not unrolled compiles in half the time, but is up to 4 % slower in the
-// last layer. With PLANES, compilation time matters more, because linear outputs are usually rendered for a single frame, to find its exposure.
-#if defined(FIXED_POINT) || defined(PLANES)
+// Number of unrolled loop iterations of four pixels each. In the last layer, a loop that is not unrolled is up to 4 % slower.
+#ifdef FIXED_POINT
 #define UNROLLED 1
 #else
 #define UNROLLED (LANES / 4)

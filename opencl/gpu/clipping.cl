@@ -22,23 +22,24 @@ KERNEL_OF_TILE measure_blocks(__global const ushort *restrict raw, __global cons
 
 KERNEL_OF_TILE map_blocks(__global const float *restrict means, __global const float *restrict response,
                           __global float *restrict maps, __global float *restrict uniformity, __global float *restrict estimates,
-                          int rows, int columns) {
+                          __global float *restrict others, __global uchar *restrict flags, int rows, int columns) {
     ITS_PLACE;
-    store_maps_of(y, x, means, response, maps, uniformity, estimates, rows, columns);
+    store_maps_of(y, x, means, response, maps, uniformity, estimates, others, flags, rows, columns);
 }
 
 KERNEL_OF_TILE spread_estimates(__global const float *restrict means, __global const float *restrict response,
                                 __global const float *restrict uniformity, __global const float *restrict from,
-                                __global float *restrict to, __global float *restrict maps, int down, int across, int last, int rows,
-                                int columns) {
+                                __global float *restrict to, __global float *restrict maps, __global const uchar *restrict flags,
+                                int down, int across, int last, int rows, int columns) {
     ITS_PLACE;
-    spread_at(y, x, means, response, uniformity, from, to, maps, down, across, last, rows, columns);
+    spread_at(y, x, means, response, uniformity, from, to, maps, flags, down, across, last, rows, columns);
 }
 
-KERNEL_OF_TILE read_maps(__global const float8 *restrict maps, __global const float *restrict means, __global float *restrict to,
+KERNEL_OF_TILE read_maps(__global const float8 *restrict maps, __global const uchar *restrict flags, __global float *restrict to,
                          int first, int block_rows, int block_columns, int plane_rows, int plane_columns, int rows, int columns) {
     ITS_PLACE;
     const Between down = between(first + 2 * y, BLOCK_ROWS, block_rows), across = between(2 * x, BLOCK_COLUMNS, block_columns);
-    store_maps(to, (size_t)y * QUADS_STRIDE(plane_columns) + x, QUADS_PLANE(plane_rows, plane_columns),
-               read_maps_at(down, across, maps, means + (size_t)CHANNELS * block_rows * block_columns, block_columns));
+    const float8 left = maps_between_rows(down, maps, flags, across.low, block_columns);
+    const float8 right = maps_between_rows(down, maps, flags, across.high, block_columns);
+    store_maps(to, (size_t)y * QUADS_STRIDE(plane_columns) + x, QUADS_PLANE(plane_rows, plane_columns), left + across.share * (right - left));
 }

@@ -151,6 +151,7 @@ class DeviceClipping:
         track.means = scratch(context, track.means, size * (len(table.channels) + 1))
         track.maps = scratch(context, track.maps, size * BLOCK_MAPS)
         track.uniformity = scratch(context, track.uniformity, size)
+        track.flags = scratch(context, track.flags, blocks[0] * blocks[1])  # at most one per block
         track.estimates = [scratch(context, each, size * (len(table.channels) + 1)) for each in track.estimates]
         row = quads[1] + READ_AHEAD  # a row of a map is followed by at most as many flags
         track.quads = scratch(context, track.quads, 4 * (MAPS * quads[0] * row + READ_AHEAD) + quads[0] * row)
@@ -158,15 +159,15 @@ class DeviceClipping:
         levels = np.int32(bright), np.float32(frame.black_level), np.float32(span)
         where = *frame.phase, band.raw_rows.start, band.raw_rows.stop - band.raw_rows.start, rows, columns
         events = [self._run(measure, track, blocks, track.raw, cfa, track.means, *levels, *map(np.int32, where))]
-        (made, other), means = track.estimates, track.means
-        events.append(self._run(make_maps, track, blocks, means, response, track.maps, track.uniformity, made))
+        (made, other), means, flags = track.estimates, track.means, track.flags
+        events.append(self._run(make_maps, track, blocks, means, response, track.maps, track.uniformity, made, other, flags))
         steps = list(zip(*map(spread_spacings, block_sides(table.cfa)), strict=True))
         for number, spacing in enumerate(steps, 1):
-            buffers, last = (means, response, track.uniformity, made, other, track.maps), number == len(steps)
+            buffers, last = (means, response, track.uniformity, made, other, track.maps, flags), number == len(steps)
             events.append(self._run(spread, track, blocks, *buffers, *map(np.int32, (*spacing, last))))
             made, other = other, made
         where = band.reads[len(band.later) - 1].start, *blocks, *shape
-        events.append(self._run(read, track, quads, track.maps, means, track.quads, *map(np.int32, where)))
+        events.append(self._run(read, track, quads, track.maps, flags, track.quads, *map(np.int32, where)))
         return events, track.quads
 
 
