@@ -440,12 +440,13 @@ INLINE float8 maps_between_rows(Between down, __global const float8 *maps, __glo
     return above + down.share * (maps_of(maps, flags, down.high, x, columns) - above);
 }
 
-INLINE void store_maps(__global float *restrict to, size_t at, size_t quads, float8 made) {
-    to[at] = made.s0;
-    to[quads + at] = made.s1;
-    to[2 * quads + at] = made.s2;
-    to[3 * quads + at] = made.s3;
-    to[4 * quads + at] = made.s4;
-    to[5 * quads + at] = made.s5;
-    to[6 * quads + at] = made.s6;
+// Stores the maps of a quad. `to` is its map 0.
+INLINE void store_maps(__global float *restrict to, float8 made) {
+    to[OF_MAP(0)] = made.s0;
+    to[OF_MAP(1)] = made.s1;
+    to[OF_MAP(2)] = made.s2;
+    to[OF_MAP(3)] = made.s3;
+    to[OF_MAP(4)] = made.s4;
+    to[OF_MAP(5)] = made.s5;
+    to[OF_MAP(6)] = made.s6;
 }

@@ -144,7 +144,6 @@ INLINE bool any_maps(__global const uchar *flags, int y, int low, int high, int 
 COMPILED_ONCE read_maps_of_tile(int x0, int y0, __global const float8 *restrict maps, __global const uchar *restrict flags,
                                 __global float *restrict to, int first, int block_rows, int block_columns, int plane_rows,
                                 int plane_columns, int rows, int columns) {
-    const size_t quads = QUADS_PLANE(plane_rows, plane_columns);
     __global uchar *quad_flags = QUAD_FLAGS(to, plane_rows, plane_columns);
     for (int y = y0; y < min(y0 + BAND, rows); y++) {
         const Between down = between(first + 2 * y, BLOCK_ROWS, block_rows);
@@ -152,14 +151,14 @@ COMPILED_ONCE read_maps_of_tile(int x0, int y0, __global const float8 *restrict 
             const int end = min(x + LANES, columns), low = between(2 * x, BLOCK_COLUMNS, block_columns).low;
             const int high = between(2 * (end - 1), BLOCK_COLUMNS, block_columns).high;
             const bool any = any_maps(flags, down.low, low, high, block_columns) || any_maps(flags, down.high, low, high, block_columns);
-            quad_flags[QUAD_FLAG(y, x, plane_columns)] = any;
+            quad_flags[QUAD_GROUP(y, x, plane_columns)] = any;
             if (!any) continue;
             float8 block[MOST_BLOCKS];
             for (int b = low; b <= high; b++) block[b - low] = maps_between_rows(down, maps, flags, b, block_columns);
             for (int i = x; i < end; i++) {
                 const Between across = between(2 * i, BLOCK_COLUMNS, block_columns);
                 const float8 left = block[across.low - low], right = block[across.high - low];
-                store_maps(to, (size_t)y * QUADS_STRIDE(plane_columns) + i, quads, left + across.share * (right - left));
+                store_maps(QUAD_MAPS(to, y, i, plane_columns), left + across.share * (right - left));
             }
         }
     }

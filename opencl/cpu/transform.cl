@@ -103,7 +103,7 @@ INLINE void coarse_row(float *to, int s, int row, int x0, int width, int rows, i
 #endif
 
 #ifdef CLIPPING
-#define CLIPPING_PARAMETER , __global const float *restrict maps  // (map, quad row, quad column), and flags
+#define CLIPPING_PARAMETER , __global const float *restrict maps  // maps of quads, and flags (common/quads.cl)
 #define CLIPPING_READ , maps
 
 #define OF_QUAD(i) ((i) / 2)
@@ -115,15 +115,14 @@ INLINE floats of_quads(__global const float *map) {
 
 // Replaces the outputs of LANES pixels in uniform clipped areas, then changes the hue in all clipped areas (l3cli/classes/clipping.py).
 INLINE void replace_clipped(floats *made, int row, int x, int rows, int columns CLIPPING_PARAMETER) {
-    const size_t quads = QUADS_PLANE(rows, columns);
-    if (!QUAD_FLAGS(maps, rows, columns)[QUAD_FLAG(row / 2, x / 2, columns)]) return;
-    __global const float *map = maps + (size_t)(row / 2) * QUADS_STRIDE(columns) + x / 2;
+    if (!QUAD_FLAGS(maps, rows, columns)[QUAD_GROUP(row / 2, x / 2, columns)]) return;
+    __global const float *map = QUAD_MAPS(maps, row / 2, x / 2, columns);
     const floats left = 1.0f - of_quads(map);
     #pragma unroll
-    for (int o = 0; o < 3; o++) made[o] = left * made[o] + of_quads(map + (1 + o) * quads);
-    const floats kept = 1.0f - of_quads(map + 4 * quads);
-    made[0] = kept * made[0] + of_quads(map + 5 * quads) * made[1];
-    made[2] = kept * made[2] + of_quads(map + 6 * quads) * made[1];
+    for (int o = 0; o < 3; o++) made[o] = left * made[o] + of_quads(map + OF_MAP(1 + o));
+    const floats kept = 1.0f - of_quads(map + OF_MAP(4));
+    made[0] = kept * made[0] + of_quads(map + OF_MAP(5)) * made[1];
+    made[2] = kept * made[2] + of_quads(map + OF_MAP(6)) * made[1];
 }
 #else
 #define CLIPPING_PARAMETER

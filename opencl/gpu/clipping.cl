@@ -41,5 +41,5 @@ KERNEL_OF_TILE read_maps(__global const float8 *restrict maps, __global const uc
     const Between down = between(first + 2 * y, BLOCK_ROWS, block_rows), across = between(2 * x, BLOCK_COLUMNS, block_columns);
     const float8 left = maps_between_rows(down, maps, flags, across.low, block_columns);
     const float8 right = maps_between_rows(down, maps, flags, across.high, block_columns);
-    store_maps(to, (size_t)y * QUADS_STRIDE(plane_columns) + x, QUADS_PLANE(plane_rows, plane_columns), left + across.share * (right - left));
+    store_maps(QUAD_MAPS(to, y, x, plane_columns), left + across.share * (right - left));
 }

@@ -155,7 +155,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
                __global const float *restrict after,        // (plane, row, col) blocks after smoothing
 #endif
 #ifdef CLIPPING
-               __global const float *restrict maps,         // (map, quad row, quad column)
+               __global const float *restrict maps,         // maps of quads (common/quads.cl)
 #endif
 #ifdef CORRECTS
                __global const float *restrict corrected,    // (output, source row, col) outputs of the first layer
@@ -234,10 +234,9 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
 #endif
 #ifdef CLIPPING
     // Replace outputs in uniform clipped areas, then change the hue in all clipped areas (l3cli/classes/clipping.py).
-    const size_t quads = QUADS_PLANE(source_rows, columns);
-    __global const float *map = maps + (size_t)(row / 2) * QUADS_STRIDE(columns) + x / 2;
-    total[0].xyz = (1.0f - map[0]) * total[0].xyz + (float3)(map[quads], map[2 * quads], map[3 * quads]);
-    total[0].xz = (1.0f - map[4 * quads]) * total[0].xz + (float2)(map[5 * quads], map[6 * quads]) * total[0].y;
+    __global const float *map = QUAD_MAPS(maps, row / 2, x / 2, columns);
+    total[0].xyz = (1.0f - map[0]) * total[0].xyz + (float3)(map[1], map[2], map[3]);
+    total[0].xz = (1.0f - map[4]) * total[0].xz + (float2)(map[5], map[6]) * total[0].y;
 #endif
     tap output[4 * FOURS];
     for (int f = 0; f < FOURS; f++) {

@@ -103,14 +103,18 @@ def lights_frame(table: TransformTable, places: list[tuple[int, int]]) -> RawFra
 
 @pytest.mark.parametrize(("array", "lanes"), [("bayer", None), ("x-trans", 8)])
 def test_single_lights_are_corrected_wherever_they_are(array: str, lanes: int | None) -> None:
-    """Also at the corners of a frame and of tiles, and in a frame that a renderer renders after another one."""
+    """Also at the corners of a frame and of tiles, and in a frame that a renderer renders after another one.
+
+    What the kernels skip must not be left from an earlier frame.
+    """
     bare = with_coarse_chroma(with_refinement(random_table(ARRAYS[array], black_level=64.0, patch=5), 5, ratios=1))
     table = with_clipping(bare)
     device, reference = OpenCLRenderer(table, variant="processor", lanes=lanes), ReferenceRenderer(table)
     sides = block_sides(table.cfa)
     corner = min(48 * sides[0] - 8, 183), min(256 * sides[1] - 8, 1043)  # of a tile of blocks, or of the frame
     lit = [(0, 0), corner, (88, 502), (88, 56)]  # tiles of quads are 96 × 512 pixels
-    for places in (lit, [], [(0, 1043), (183, 0), (40, 300)], lit):
+    moved = [(0, 1043), (183, 0), (40, 300)]
+    for places in (lit, lit, [], [], moved, moved, lit):  # in pairs, because a renderer has two sets of buffers
         frame = lights_frame(table, places)
         expected = reference.exact_outputs(frame)
         np.testing.assert_allclose(device.outputs(frame), expected, atol=1e-5 * np.abs(expected).max())

@@ -153,7 +153,7 @@ class DeviceClipping:
         track.uniformity = scratch(context, track.uniformity, size)
         track.flags = scratch(context, track.flags, blocks[0] * blocks[1])  # at most one per block
         track.estimates = [scratch(context, each, size * (len(table.channels) + 1)) for each in track.estimates]
-        row = quads[1] + READ_AHEAD  # a row of a map is followed by at most as many flags
+        row = quads[1] + READ_AHEAD  # padded to whole groups; there are at most as many flags
         track.quads = scratch(context, track.quads, 4 * (MAPS * quads[0] * row + READ_AHEAD) + quads[0] * row)
         bright, span = first_bright(frame.black_level, table.white_level), table.white_level - frame.black_level
         levels = np.int32(bright), np.float32(frame.black_level), np.float32(span)
