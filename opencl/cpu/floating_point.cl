@@ -81,7 +81,7 @@ INLINE void apply(totals *made, const tap *patches, const float *ratios, const u
                 const tap *patch = patches + (x + first) * COLUMN;
                 __global const tap *row = group + (size_t)class * CLASS_STRIDE;
                 const float *its = ratios + x + first;
-#ifndef PLANES  // linear outputs are usually rendered for a single frame, so compilation time matters more than speed
+#ifndef PLANES  // linear outputs are computed equally fast without this branch, and compile faster
                 if (class == other)
                     apply_pair(pair[i], patch, patch + PAIR * COLUMN, its, row, row);
                 else

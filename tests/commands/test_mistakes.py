@@ -113,7 +113,11 @@ MISTAKES = """
     3 render training.h5 raw.tif -o new.png
         training.h5 contains a training set; use a file written by
     3 render table.h5 table.h5 -o new.png
-        table.h5 contains no uint16 dataset (frame, row, col)
+        table.h5 contains a transform table, not raw frames; use a camera raw, a TIFF or PNG file
+    3 render table.h5 camera.h5 -o new.png
+        camera.h5 contains a camera model, not raw frames; use a camera raw, a TIFF or PNG file
+    3 render table.h5 training.h5 -o new.png
+        training.h5 contains a training set, not raw frames; use a camera raw, a TIFF or PNG file
     3 render table.h5 picture.png -o new.png
         picture.png has 3 channels
     3 render table.h5 camera.toml -o new.png

@@ -124,6 +124,22 @@ def test_single_lights_are_corrected_wherever_they_are(array: str, lanes: int | 
             assert changed[row : row + LIGHT, col : col + LIGHT].max() > 0.01
 
 
+def test_estimates_of_an_earlier_frame_do_not_spread() -> None:
+    """Estimates spread from a uniform area without clipped channels, where the frames before have estimates."""
+    bare = with_coarse_chroma(with_refinement(random_table(BAYER, black_level=64.0, patch=5), 5, ratios=1))
+    table = with_clipping(bare)
+    device, reference = OpenCLRenderer(table, variant="processor"), ReferenceRenderer(table)
+    rows, cols = np.indices((203, 512))
+    span, channel = table.white_level - table.black_level, table.cfa[rows % 2, cols % 2]
+    right = np.where(cols < 256, 0.62, 1.0) * np.array([0.7, 1.0, 1.3])[channel]  # the right half clips
+    left = np.where(cols < 256, 1.0, 0.62) * np.array([0.7, 1.0, 1.1])[channel]
+    for signal in (left, left, right, right):
+        values = np.clip(signal * span + table.black_level, 0, table.white_level).astype(np.uint16)
+        frame = RawFrame("sky", values, table.black_level, table.white_level)
+        expected = reference.exact_outputs(frame)
+        np.testing.assert_allclose(device.outputs(frame), expected, atol=1e-5 * np.abs(expected).max())
+
+
 @pytest.mark.parametrize(("sides", "variant"), [((), "processor"), ((3,), "graphics")], ids=["one layer", "two layers"])
 def test_no_pixel_is_brighter_than_the_clipped_white(sides: tuple[int, ...], variant: str) -> None:
     bare = with_refinement(random_table(BAYER, black_level=64.0, patch=5), *sides)

@@ -18,6 +18,7 @@ from l3cli.io.raw import MultiFrameFile, RawContent
 from l3cli.io.raw.axes import STACK, Axes, frame_axes
 from l3cli.system.files import open_regular, stamp
 from l3cli.system.limits import require_picture, require_values
+from l3cli.system.text import a
 
 FILTERS = {  # numbers of compression filters, as registered with The HDF Group → names
     4: "szip", 307: "bzip2", 32000: "LZF", 32001: "blosc", 32004: "LZ4", 32008: "bitshuffle", 32013: "ZFP", 32015: "zstd",
@@ -42,10 +43,16 @@ def stack(path: Path, dataset: str | None) -> MultiFrameFile:
 def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
     """Return the name of the dataset with the frames, and its number of frames.
 
-    If `dataset` is None, the file must contain only one dataset with frames. Raises InputFileError if the dataset does not
-    exist, or if it contains something other than frames, such as a picture with several channels.
+    If `dataset` is None, the file must contain only one dataset with frames, and must not be an l3 artifact. Raises
+    InputFileError if the dataset does not exist, or if it contains something other than frames, such as a picture with
+    several channels.
     """
     root = _open(path)
+    if dataset is None and _is_artifact(path):
+        kind = a(_text(root.attrs.get("kind")) or "l3 artifact")
+        raise InputFileError(
+            f"{path} contains {kind}, not raw frames; use a camera raw, a TIFF or PNG file with one channel"
+        )
     members = dict(datasets(root))
     name = _only_stack(path, members) if dataset is None else dataset.strip("/")
     frames = members.get(name)
@@ -184,12 +191,11 @@ def chunks_of_a_frame(frames: Any, axes: Axes = STACK) -> int:
 def _only_stack(path: Path, members: dict[str, Any]) -> str:
     """Return the name of the only dataset, (frame, row, col), of type uint8 or uint16.
 
-    If there is none, datasets of any numeric type are considered, unless the file is an l3 artifact. Raises InputFileError
-    if none or several are found.
+    If there is none, datasets of any numeric type are considered. Raises InputFileError if none or several are found.
     """
     stacks = sorted(name for name, member in members.items() if _is_stack(member) and member.ndim == 3)
     counts = [name for name in stacks if members[name].dtype.kind == "u" and members[name].dtype.itemsize <= 2]
-    chosen = counts or ([] if _is_artifact(path) else stacks)
+    chosen = counts or stacks
     if len(chosen) != 1:
         several = f"{len(chosen)} datasets of frames ({', '.join(chosen[:4])})"
         content = several if chosen else "no uint16 dataset (frame, row, col)"
@@ -198,7 +204,7 @@ def _only_stack(path: Path, members: dict[str, Any]) -> str:
 
 
 def _is_artifact(path: Path) -> bool:
-    """Return whether a file is an l3 artifact, in which floating-point arrays are not frames."""
+    """Return whether a file is an l3 artifact, such as a transform table."""
     with open_regular(path) as stream:
         return stream.read(len(TITLE)) == TITLE
 
