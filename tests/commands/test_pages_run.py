@@ -259,6 +259,32 @@ def test_the_example_of_polarised_pictures_prints_what_is_shown(
     np.testing.assert_allclose(seen, [0.1, 0.4, 0.173], atol=1e-3)  # S1, S0, S2
 
 
+def test_the_example_of_a_method_of_your_own_compares_it(
+    desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("table.h5", "unseen.h5"):
+        (tmp_path / name).symlink_to(desk / name)
+    (script,) = (text for text in fenced(PAGES["python.md"], "python") if "rivals=" in text)
+    exec(script, {})
+    mine, ours = map(float, capsys.readouterr().out.split())
+    assert mine == pytest.approx(ours, rel=0.1)  # the method of the example is the table; l3 fits the brightness of mine
+
+
+def test_the_example_of_test_vectors_renders_them(
+    desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, l3: L3
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "table.h5").symlink_to(desk / "table.h5")
+    assert l3("export", "table.h5", "-o", "source", "--quiet")[0] == 0
+    (script,) = (text for text in fenced(PAGES["export.md"], "python") if "test_raw.bin" in text)
+    exec(script, {})
+    labels, expected = (np.fromfile(path, "<u4") for path in ("labels.bin", "source/test_labels.bin"))
+    np.testing.assert_array_equal(labels, expected[: labels.size])
+    outputs, expected = (np.fromfile(path, "<f4") for path in ("outputs.bin", "source/test_outputs.bin"))
+    np.testing.assert_array_equal(outputs, expected)
+
+
 def test_the_session_of_check_prints_what_is_shown(l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     (session,) = [block for name, block in BLOCKS if name == "commands.md" and "$ l3 check" in block]
