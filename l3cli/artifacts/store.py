@@ -267,19 +267,20 @@ def members(group: h5py.Group, path: Path) -> list[str]:
 def hard_group(group: h5py.Group, name: str, path: Path) -> h5py.Group:
     """Open the subgroup `name` of a group. Raises InputFileError if it is missing, or is a soft or external link."""
     with reading(path, f"the group {_inside(group, name)}"):
-        return _member(group, name, h5py.Group, "group", path)
+        return h5py.Group(_member(group, name, h5py.h5g.GroupID, "group", path))
 
 
 def _member(group: h5py.Group, name: str, kind: type, what: str, path: Path) -> Any:
-    """Open a member of a group.
+    """Open a member of a group with h5py's low-level interface, which needs half the time of `group[name]`.
 
     Raises InputFileError if the member is missing, is not an instance of `kind`, or is a soft or external link.
     """
-    link = group.get(name, getlink=True)
-    if not isinstance(link, h5py.HardLink):
-        fault = "is missing" if link is None else "is a link to a different place"
+    encoded_name, links = name.encode(), group.id.links
+    exists = links.exists(encoded_name)
+    if not exists or links.get_info(encoded_name).type != h5py.h5l.TYPE_HARD:
+        fault = "is a link to a different place" if exists else "is missing"
         raise InputFileError(f"{path}: the {what} {_inside(group, name)} {fault}; create the file again")
-    member = group[name]
+    member = h5py.h5o.open(group.id, encoded_name)
     if not isinstance(member, kind):
         raise InputFileError(f"{path}: {_inside(group, name)} is not a {what}; create the file again")
     return member
@@ -304,15 +305,17 @@ def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
     is_text = spec.dtype == "str"
     expected_kind = "S" if is_text else np.dtype(spec.dtype).kind
     with reading(path, f"dataset {_inside(group, name)}"):
-        dataset = _member(group, name, h5py.Dataset, "dataset", path)
-        stored = require_plain(dataset.id, path)
+        dataset = _member(group, name, h5py.h5d.DatasetID, "dataset", path)
+        stored = require_plain(dataset, path)
         is_empty = not (stored.shape or stored.size)
         if stored.dtype.kind != expected_kind or len(stored.shape) != len(spec.axes) or is_empty:
             raise InputFileError(
                 f"{path}: dataset {stored.where} has the type {stored.dtype} and {len(stored.shape)} axes, but must have "
                 f"the type {spec.dtype} and the axes ({', '.join(spec.axes)}); create the file again"
             )
-        array = dataset[()]
+        array = np.zeros(stored.shape, stored.dtype)
+        if array.size:
+            dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, array)
         if is_text:
             decoded = np.char.decode(array, ENCODING)
             return tuple(str(item) for item in decoded) if spec.axes else str(decoded)
