@@ -148,17 +148,23 @@ def groups_of(around: NDArray[np.float32]) -> NDArray[np.intp]:
 
 
 def in_all_orientations(sums: Sums, terms: int) -> Sums:
-    """Average the sums over the eight orientations of a patch. Rotated and mirrored arrays then have equal errors."""
+    """Average the sums over the eight orientations of a patch. Rotated and mirrored arrays then have equal errors.
+
+    Each orientation is a combination of three reflections. Averaging over one reflection after the other therefore gives the
+    mean of all eight.
+    """
     taps = np.arange(SIDE**2 * terms).reshape(SIDE, SIDE, terms)
     behind = np.arange(taps.size, taps.size + SOFT.stop + terms)
-    turned = [np.rot90(each, turn).ravel() for each in (taps, taps.swapaxes(0, 1)) for turn in range(4)]
-    moment, mean = np.zeros_like(sums["moment"]), np.zeros_like(sums["mean"])
+    reflections = [each.ravel() for each in (taps[::-1], taps[:, ::-1], taps.swapaxes(0, 1))]
+    moment, mean = sums["moment"].copy(), sums["mean"].copy()
     for group in np.flatnonzero(sums["patches"]):  # one matrix at a time, which fits into the cache
-        for place in range(len(moment)):
-            for each in turned:
-                order = np.concatenate([each, behind])
-                moment[place, group] += sums["moment"][place, group][order[:, None], order] / 8
-                mean[place, group] += sums["mean"][place, group, each] / 8
+        for of_patches, of_means in zip(moment[:, group], mean[:, group], strict=True):
+            for reflected in reflections:
+                order = np.concatenate([reflected, behind])
+                of_patches += of_patches[order[:, None], order]
+                of_means += of_means[reflected]
+            of_patches /= 2 ** len(reflections)
+            of_means /= 2 ** len(reflections)
     return sums | {"mean": mean, "moment": moment}
 
 
