@@ -257,7 +257,8 @@ def _is_x(cell: str) -> bool:
 
 def _is_lettered(row: Cells) -> bool:
     """Whether a row of headings starts with X, Y, so that the line above contains the names of the curves."""
-    return [units.split(cell)[0].casefold() for cell in row if cell][:2] == ["x", "y"]
+    first = itertools.islice(filter(None, row), 2)
+    return [units.split(cell)[0].casefold() for cell in first] == ["x", "y"]
 
 
 def _all_numbers(row: Cells, decimal_comma: bool) -> bool:
