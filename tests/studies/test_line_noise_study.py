@@ -64,13 +64,14 @@ def measured(camera: CameraModel, seed: int) -> DarkNoise:
 
 
 def deviations(camera: CameraModel, terms: tuple[str, ...]) -> dict[str, float]:
-    """Return the standard deviation of each term in e-. For fixed offsets, this is the deviation of the drawn offsets."""
-    noise, pattern = camera.noise, sensor.fixed_pattern(camera).dsnu
-    alone = sensor.fixed_pattern(
-        dataclasses.replace(camera, noise=dataclasses.replace(noise, row_noise=0.0, column_noise=0.0))
-    )
-    fixed = pattern - alone.dsnu
-    found = {"row_noise": fixed.mean(axis=1).std(ddof=1), "column_noise": fixed.mean(axis=0).std(ddof=1)}
+    """Return the standard deviation of each term, in e- or as a fraction. For fixed terms, it is that of the drawn lines."""
+    noise, pattern = camera.noise, sensor.fixed_pattern(camera)
+    without = dict.fromkeys(("row_noise", "column_noise", *RESPONSES), 0.0)
+    alone = sensor.fixed_pattern(dataclasses.replace(camera, noise=dataclasses.replace(noise, **without)))
+    found = {}
+    for lines, axis in (("row", 1), ("column", 0)):
+        found[f"{lines}_noise"] = (pattern.dsnu - alone.dsnu).mean(axis=axis).std(ddof=1)
+        found[f"{lines}_prnu"] = (pattern.prnu - alone.prnu).mean(axis=axis).std(ddof=1)
     return {term: float(found.get(term, getattr(noise, term))) for term in terms}
 
 
