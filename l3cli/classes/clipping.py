@@ -47,7 +47,7 @@ MAX_DIFFERENCE = 0.05  # blocks with at least this squared relative difference c
 MIN_SIGNAL = 0.02  # smallest signal used as a divisor, as a fraction of full scale
 # The weight of the surrounding hue is L / (L + D). L is the similarity of the surroundings, as a fraction of its maximum.
 # D is HUE_DOUBT plus GREY_DOUBT times the squared similarity of the clipped block to white.
-HUE_DOUBT, GREY_DOUBT = 0.05, 3.0
+HUE_DOUBT, GREY_DOUBT = 0.05, 12.0
 # Distances in pixels over which the estimates of clipped blocks spread over uniform areas, one per step. The last step is
 # shorter. Otherwise, blocks at different multiples of a distance would never be averaged, and skies would have bands.
 SPREAD_DISTANCES = (32, 32, 32, 32, 32, 16)

@@ -330,6 +330,20 @@ def test_a_white_that_clips_keeps_its_hue_beside_vivid_surfaces() -> None:
         assert taken.max() < 0.1
 
 
+def test_a_white_of_which_one_channel_does_not_clip_is_not_tinted_by_its_surroundings() -> None:
+    """Only red does not clip, so the white is similar to surfaces of any colour."""
+    camera, radiance, white, to_signals, clipping = learned("fiveband")
+    paper = 1.45 * radiance @ to_signals / (radiance @ to_signals).max()
+    blue = (radiance * np.interp(camera.wavelength, [470, 500], [1.0, 0.1])) @ to_signals
+    rows, cols = np.indices((48, 64))
+    channel = camera.cfa[rows % camera.cfa.shape[0], cols % camera.cfa.shape[1]]
+    values = np.minimum(np.where(cols < 32, 0.7 * (blue / blue.max())[channel], paper[channel]), 1.0)
+    mosaic = Mosaic((60000 * values).astype(np.uint16), camera.cfa, 0.0, 60000.0)
+    outputs = np.broadcast_to(white[:, None, None], (3, *rows.shape))
+    changed = replaced(outputs, mosaic, clipping.response, clipping.white)[:, :, 36:]
+    assert np.abs(changed / changed[1] / white[:, None, None] - 1).max() < 0.1
+
+
 def test_skin_that_clips_beside_a_dark_edge_is_not_mottled() -> None:
     """Red and green clip next to a dark edge, so that only blue shows the luminance. Single pixels render it with noise."""
     camera, radiance, _, to_signals, clipping = learned("bayer")
