@@ -329,18 +329,17 @@ INLINE void store_maps_of(int y, int x, __global const float *restrict means, __
                           __global float *restrict maps, __global float *restrict uniformity, __global float *restrict estimates,
                           __global float *restrict others, __global uchar *restrict flags, int rows, int columns) {
     const size_t at = (size_t)y * columns, reliability = (size_t)CHANNELS * rows * columns + at;
-    floats made[8], plain = 0.0f, reliable = NOT_ESTIMATED;
+    floats made[8] = {0.0f}, plain = 0.0f, reliable = NOT_ESTIMATED;
     if (any_lane(repeated_blocks_at(means + reliability, x, columns) != NO_RANGE)) {
         plain = replacement_of(made, y, x, means, response, rows, columns);
         reliable = store_estimates(y, x, means, response, estimates, rows, columns);
     }
-    const bool estimated = any_lane(reliable != NOT_ESTIMATED), mapped = estimated || any_lane(plain > 0.0f);
+    const bool estimated = any_lane(reliable != NOT_ESTIMATED), mapped = estimated || any_lane(made[0] > 0.0f);
     store_blocks(uniformity + at, x, columns, plain);
     store_blocks(estimates + reliability, x, columns, reliable);
     store_blocks(others + reliability, x, columns, reliable);
     flags[GROUP_OF(y, x, columns)] = (mapped ? HAS_MAPS : 0) | (estimated ? HAS_ESTIMATES : 0);
     if (!mapped) return;
-    for (int m = 4; m < 8; m++) made[m] = 0.0f;
     store_float8(maps + 8 * at, x, columns, made, 8);
 }
 
