@@ -234,8 +234,8 @@ def test_a_tenth_of_the_materials_of_dead_leaves_are_paints() -> None:
     assert drawn[1].min() >= spectra.BLACKEST
     assert drawn[1].max() <= spectra.WHITEST
     leaves = [
-        procedural.drawn_leaves(np.random.default_rng(0), (48, 48), WAVELENGTH, **paints)[0]
-        for paints in ({}, {"paints": 0.0})
+        procedural.drawn_leaves(np.random.default_rng(0), (48, 48), WAVELENGTH, paints=paints)[0]
+        for paints in (0.0, procedural.PAINTS)
     ]
     assert 0.01 < (leaves[0] != leaves[1]).any(axis=2).mean() < 0.6
 
