@@ -249,7 +249,7 @@ def test_classes_of_a_direction_are_taught_surfaces_where_there_are_no_chromas(t
         surfaces, _ = surfaces_of(camera, "D65")
         assert surfaces is not None
         errors.append(surface_errors(first, camera, np.zeros(len(surfaces.signals), int)))
-    assert errors[1].max() < 0.92 * errors[0].min()
+    assert errors[1].max() < 0.95 * errors[0].min()
 
 
 def test_training_under_several_lights_is_left_to_its_patches(tmp_path: Path, l3: L3) -> None:
