@@ -308,6 +308,9 @@ def curves_beyond_known(recipe: Path, light: Light, camera: CameraModel) -> str:
     inside = (wavelength >= grid.min()) & (wavelength <= grid.max())
     # The wavelengths of the light extend beyond those of the camera, which are often those of the file.
     held = _held((wavelength[inside], camera.responsivity[:, inside]), light.wavelength)
+    # Where the file covers more than the camera, the recipe limits the wavelengths, and the file lacks nothing.
+    held[:, (light.wavelength < wavelength.min()) & (grid.min() < wavelength.min())] = 0
+    held[:, (light.wavelength > wavelength.max()) & (grid.max() > wavelength.max())] = 0
     seen = Filters.of(dict(zip(camera.channels, held, strict=True)), light.wavelength)
     taken, channel = share_beyond(seen, light, light, (grid.min(), grid.max()))
     if taken <= NOTICEABLE_CURVES:

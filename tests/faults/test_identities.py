@@ -19,7 +19,7 @@ from tests.helpers.hostile_inputs import CURVE_CAMERA
 from tests.helpers.paths import contents
 from tests.helpers.sequences import FAST, RGGB, RUN, frames
 
-CURVES = "\n".join(("380,0,0,0", *(f"{nm},{nm / 700},{1 - nm / 900},{nm / 900}" for nm in range(390, 721, 10)), "730,0,0,0"))
+CURVES = "\n".join(f"{nm},{nm / 700},{1 - nm / 900},{nm / 900}" for nm in range(390, 721, 10))
 CUBE = 'exposure_share = [0.9]\n[[scene]]\nsource = "cube"\nfile = "cube.npy"\nwavelength_range_nm = [400, 700, 50]\n'
 
 
