@@ -176,13 +176,17 @@ def _guarded(work: Callable[[], int | None], record: Record) -> int:
         signals.ignore()
         return fail("interrupted", 130)
     except MemoryError:
-        return fail("out of memory; use fewer --jobs or smaller frames", 1)
+        return fail("out of memory; use smaller frames, or fewer --jobs if the command has this option", 1)
     except ImportError as error:
         return fail(f"l3 cannot load a library: {error}; free some memory, or reinstall l3cli", 1)
     except RuntimeError as error:
         if str(error) != NO_THREAD:
             raise
-        return fail("out of memory or threads; use fewer --jobs, or increase the limits (ulimit -v, ulimit -u)", 1)
+        return fail(
+            "out of memory or threads; increase the limits (ulimit -v, ulimit -u), or use fewer --jobs if the command "
+            "has this option",
+            1,
+        )
     except OSError as error:
         if error.filename is None:
             drop(sys.stdout)
