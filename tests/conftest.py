@@ -28,7 +28,9 @@ from tests.helpers.tasks import in_folder
 
 # Tests need no flushed data. Flushing takes 5 ms or more on many disks, which is longer than a small command.
 os.fsync = lambda fd: None
-settings.register_profile("shared machines", max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile(
+    "shared machines", max_examples=40, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("shared machines")
 # colour-science imports matplotlib if matplotlib is installed, which takes longer than all its other imports. l3 does not
 # need matplotlib.

@@ -154,7 +154,7 @@ def shifted(whole: np.ndarray, by: tuple[float, float]) -> np.ndarray:
     return map_coordinates(whole, place, order=3)
 
 
-@given(st.tuples(st.floats(-14, 14), st.floats(-14, 14)))
+@given(st.tuples(st.floats(-13, 13), st.floats(-13, 13)))  # farther, the inner part leaves the other frame at two corners
 @settings(max_examples=8, deadline=None)
 def test_a_motion_that_is_not_known_is_estimated(by: tuple[float, float]) -> None:
     whole = textured((SHAPE[0] + 64, SHAPE[1] + 64))
