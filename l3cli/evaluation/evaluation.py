@@ -46,7 +46,7 @@ LISTED_CLASSES = 10  # number of worst classes in the document
 
 
 class ClassErrors:
-    """Accumulates each pipeline's pixel errors by class, pooled over all CFA sites.
+    """Sums the errors of each pipeline over the pixels of each class. Classes of all CFA sites are counted together.
 
     A class is a combination of level, contrast, kind (chroma or saturation case) and optional features such as direction.
     """
@@ -57,14 +57,14 @@ class ClassErrors:
         self._sums = {name: np.zeros(table.first.rule.shape) for name in pipelines}
 
     def add(self, labels: NDArray[np.integer], errors: dict[str, Array]) -> None:
-        """Add the pixels of a frame.
+        """Add the errors of all pixels of a frame to the sums of their classes.
 
         Parameters
         ----------
         labels : ndarray, (…)
-            Class of each pixel in the first layer.
+            Class in the first layer, for each pixel.
         errors : dict of str to ndarray, (…)
-            Error at each pixel, for each pipeline by name.
+            Name of each pipeline, and its error at each pixel.
         """
         rule = self._rule
         within, classes = rule.within_site(labels.ravel()), rule.classes_per_site
@@ -226,7 +226,7 @@ class Evaluation:
         return (OURS, *self._baselines, *(ESTIMATES if self._estimates else ()), *self._rivals)
 
     def planes(self, frame: TrainingPair, outputs: Array, rivals: Mapping[str, Array] | None = None) -> dict[str, Array]:
-        """Return the pictures of a frame from all pipelines that are compared.
+        """Return the outputs of all compared pipelines for a frame: the table, baselines, spectral estimators and rivals.
 
         Parameters
         ----------
@@ -235,12 +235,12 @@ class Evaluation:
         outputs : ndarray, (output, row, col)
             The frame as rendered with the table, in output units.
         rivals : mapping of str to ndarray, (3, row, col), optional
-            XYZ planes of each rival in the unit of the target, by name.
+            Name of each rival, and its picture in XYZ, in the unit of the target.
 
         Returns
         -------
         dict of str to ndarray, (output, row, col)
-            Planes of each pipeline in the unit of the target, by name.
+            Name of each pipeline, and its outputs in the unit of the target.
 
         Raises
         ------
@@ -258,7 +258,7 @@ class Evaluation:
         return self.developed(frame, outputs) | estimated | shown
 
     def developed(self, frame: TrainingPair, outputs: Array) -> dict[str, Array]:
-        """Return the results of the table and the baselines for a frame of any size.
+        """Return the outputs of the table and the baselines for a frame of any size.
 
         Parameters and result are as in `planes`, without spectral estimators and rivals.
 
@@ -476,9 +476,9 @@ def _counted(frame: TrainingPair, border: int) -> NDArray[np.bool_] | None:
 
 
 def _octave(level: float) -> tuple[float, float]:
-    """Return the bounds of the octave that contains a level.
+    """Return the lower and the upper bound of the octave that contains a signal level.
 
-    Octaves are centred on powers of two. Levels below 2^-12 all belong to the lowest octave.
+    The octaves are centred on powers of two. All levels below 2^-12 belong to the octave around 2^-12.
     """
     power = np.rint(np.log2(max(level, 2.0**-12)))
     return float(2.0 ** (power - 0.5)), float(2.0 ** (power + 0.5))
