@@ -142,7 +142,10 @@ def atomic_output(path: Path) -> Iterator[Path]:
     try:
         with blamed_on(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-            temporary, descriptor = _new_temporary(path)
+            # The name is known before the file exists, so that the file is also removed if a signal interrupts its creation.
+            temporary = _temporary_name(path)
+            while descriptor is None:
+                descriptor = _new_locked(temporary, initial_mode(path))
         with blamed_on(path, FULL):  # other errors may concern inputs that the block reads
             yield temporary
         with blamed_on(path):
@@ -160,17 +163,20 @@ def write_whole(path: Path, content: bytes | memoryview | str) -> None:
         temporary.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
-def _new_temporary(path: Path) -> tuple[Path, int]:
-    """Create an empty, locked temporary file next to `path`. Return its path and the descriptor that keeps the lock."""
+def _temporary_name(path: Path) -> Path:
     stem, suffix = _hidden_name(path)
-    while True:
-        temporary = path.with_name(f".{stem}.{os.urandom(4).hex()}.l3tmp{suffix}")
-        descriptor = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, initial_mode(path))
-        with contextlib.suppress(OSError):  # on storage without locks, `sweep` removes no temporary files either
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-        if os.fstat(descriptor).st_nlink:
-            return temporary, descriptor
-        os.close(descriptor)  # another run removed the file before this run locked it
+    return path.with_name(f".{stem}.{os.urandom(4).hex()}.l3tmp{suffix}")
+
+
+def _new_locked(temporary: Path, mode: int) -> int | None:
+    """Create an empty file, lock it, and return its descriptor, or None if another run removed it before it was locked."""
+    descriptor = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, mode)
+    with contextlib.suppress(OSError):  # on storage without locks, `sweep` removes no temporary files either
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+    if os.fstat(descriptor).st_nlink:
+        return descriptor
+    os.close(descriptor)
+    return None
 
 
 def _hidden_name(path: Path) -> tuple[str, str]:

@@ -7,6 +7,7 @@ import resource
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -62,6 +63,21 @@ def test_an_output_appears_whole_or_not_at_all(tmp_path: Path) -> None:
         stopped()
     assert names(tmp_path) == ["new", "new/a.txt"]
     assert path.read_text() == "half"
+
+
+def test_an_interrupted_creation_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A signal can arrive between the creation of the temporary file and the next line of Python."""
+    create = os.open
+
+    def interrupted(*arguments: Any) -> int:
+        os.close(create(*arguments))
+        assert len(names(tmp_path)) == 1
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "open", interrupted)
+    with pytest.raises(KeyboardInterrupt), atomic_output(tmp_path / "a.txt"):
+        pass
+    assert not names(tmp_path)
 
 
 def test_every_writer_writes_in_place(tmp_path: Path) -> None:
