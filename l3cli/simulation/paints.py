@@ -46,14 +46,13 @@ class Pigment:
         return np.asarray(ratio)
 
 
+# Blue pigments are absent. The spectra of cobalt blue, ultramarine and phthalocyanine blue are unlike those of other blue
+# materials, and make a Bayer camera render blue skies with too little red.
 PIGMENTS = {
     "yellow ochre": Pigment(((1.2, 480, 40), (0.25, 650, 55)), (3.0, 525, 18), 0.10),
     "raw sienna": Pigment(((2.0, 490, 45), (0.8, 650, 60)), (6.0, 535, 20), 0.4),
     "burnt sienna": Pigment(((3.0, 530, 40), (0.9, 680, 60)), (9.0, 575, 15), 0.5),
     "red ochre": Pigment(((2.0, 530, 40), (0.5, 680, 60)), (7.0, 580, 12), 0.25),
-    "cobalt blue": Pigment(((2.5, 545, 18), (3.5, 585, 20), (4.0, 625, 25), (0.3, 400, 25), (0.36, 490, 25)), rest=0.05),
-    "ultramarine": Pigment(((9.0, 600, 45), (3.0, 545, 35)), (0.6, 400, 12), 0.12),
-    "phthalocyanine blue": Pigment(((12.0, 615, 35), (14.0, 700, 35), (3.0, 560, 30), (1.0, 370, 40)), rest=0.15),
     "phthalocyanine green": Pigment(((12.0, 640, 35), (9.0, 715, 40), (4.0, 585, 30), (2.0, 395, 45)), rest=0.12),
     "cadmium yellow": Pigment(edge=(12.0, 495, 6), rest=0.02),
     "cadmium orange": Pigment(edge=(12.0, 550, 7), rest=0.03),
