@@ -27,6 +27,7 @@ from l3cli.rendering.reference import (
     FAR_LIKENESS,
     MAX_CONTRAST,
     SMOOTHING_DARKEST,
+    least_noise,
     raising_constants,
     white_scale,
 )
@@ -144,10 +145,10 @@ CHROMA_DOC = (
 
 LEAST_DOC = (
     "after the smoothing of chroma, pixels that are darker than the raw values around them are raised. m_p is the smallest "
-    "value of (DN - black_level) * white_scale[channel] in the window with the radius least_reach around p, without pixels "
-    "outside the frame. L_p = least_of_positive * m_p if m_p > 0, otherwise least_of_negative * m_p. If Y_p < L_p: X_p <- "
-    "X_p + clamp(L_p / max(sum of Y_q, L_p, smoothing_darkest) * (sum of X_q) - X_p, -c, c), and Z_p the same, with c = "
-    "raised_chroma * (L_p - Y_p), where q are the four diagonal neighbours before smoothing. Then Y_p <- L_p"
+    "value of (DN - least_black_level) * white_scale[channel] in the window with the radius least_reach around p, without "
+    "pixels outside the frame. L_p = least_of_positive * m_p if m_p > 0, otherwise least_of_negative * m_p. If Y_p < L_p: "
+    "X_p <- X_p + clamp(L_p / max(sum of Y_q, L_p, smoothing_darkest) * (sum of X_q) - X_p, -c, c), and Z_p the same, with "
+    "c = raised_chroma * (L_p - Y_p), where q are the four diagonal neighbours before smoothing. Then Y_p <- L_p"
 )
 
 
@@ -183,7 +184,12 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
         }
         content["constants"]["smoothing_darkest"] = SMOOTHING_DARKEST
         if table.white_signals is not None:
-            content["least_luminance"] = {"doc": LEAST_DOC, **raising_constants(table), **_white_scale(table)}
+            content["least_luminance"] = {
+                "doc": LEAST_DOC,
+                "least_black_level": table.black_level - least_noise(table),
+                **raising_constants(table),
+                **_white_scale(table),
+            }
     if table.components:
         doc = "conversion from outputs to the planes of the refinement layer. fixed_weights of the first layer include it"
         content["components"] = {"doc": doc, **arrays.add_fields("components/", table.components)}

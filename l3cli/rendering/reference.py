@@ -33,6 +33,10 @@ MAX_CONTRAST = 4.0
 # factors. The first factor applies to values above the black level, the second factor to values below it. The second factor
 # is large, because clipping the noise of dark areas would raise their mean.
 LEAST_OF_POSITIVE, LEAST_OF_NEGATIVE = 0.5, 2.0
+# The raw values are first increased by this multiple of the standard deviation of the noise without light. Otherwise, a
+# single raw value with a large negative noise would make its neighbours black. A larger multiple would brighten frames
+# without light.
+LEAST_NOISE = 0.75
 RAISED_CHROMA = 2.0  # if Y is raised, X and Z change by at most this multiple of the change in Y
 
 SMOOTHING_DARKEST = 2.0**-20  # darker pixels are not smoothed; in output units, far below the noise of any sensor
@@ -329,12 +333,18 @@ def raising_constants(table: TransformTable) -> dict[str, float | int]:
     return {"least_reach": channel_reach(table.cfa), **factors}
 
 
+def least_noise(table: TransformTable) -> float:
+    """Return the value in DN that `least_luminance` adds to raw values because of their noise."""
+    return LEAST_NOISE * float(np.sqrt(table.camera.noise_variance(np.zeros(1))[0])) if table.camera else 0.0
+
+
 def least_luminance(frame: RawFrame, table: TransformTable) -> NDArray[np.float64]:
     """Return a lower limit for the luminance of each pixel, computed from the raw values around it.
 
-    Each raw value in a window around the pixel is divided by the raw value of white in the same channel. The limit is the
-    smallest of these ratios, times a constant factor. The window is just large enough to contain all channels. Values
-    outside the frame are ignored. If the table does not contain the channel signals of white, the limit is −∞.
+    Each raw value in a window around the pixel, plus `least_noise`, is divided by the raw value of white in the same
+    channel. The limit is the smallest of these ratios, times a constant factor. The window is just large enough to contain
+    all channels. Values outside the frame are ignored. If the table does not contain the channel signals of white, the limit
+    is −∞.
 
     Parameters
     ----------
@@ -353,7 +363,7 @@ def least_luminance(frame: RawFrame, table: TransformTable) -> NDArray[np.float6
     channel = np.tile(cfa, [-(-length // period) for length, period in zip(shape, cfa.shape, strict=True)])
     scale = white_scale(table)[channel[: shape[0], : shape[1]]]
     reach = channel_reach(table.cfa)
-    padded = np.pad((frame.values - frame.black_level) * scale, reach, constant_values=np.inf)
+    padded = np.pad((frame.values - frame.black_level + least_noise(table)) * scale, reach, constant_values=np.inf)
     smallest = np.lib.stride_tricks.sliding_window_view(padded, (2 * reach + 1,) * 2).min(axis=(2, 3))
     return np.asarray(smallest * np.where(smallest > 0, LEAST_OF_POSITIVE, LEAST_OF_NEGATIVE))
 

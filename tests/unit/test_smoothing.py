@@ -249,14 +249,34 @@ def test_a_black_pixel_gets_half_of_the_smallest_raw_value_nearby(cfa: NDArray) 
     np.testing.assert_allclose(made, planes)
 
 
-def test_raising_does_not_change_the_mean_of_noise_in_the_dark() -> None:
-    table = with_clipped_white(random_table(BAYER, 12, 64.0), 1.2)
+def with_noise_of(table: TransformTable, noise: float) -> TransformTable:
+    """The table of a camera that has this noise without light, as the luminance of a white."""
+    camera = table.camera
+    assert camera is not None
+    read_noise = noise / white_scale(table).mean() / camera.gain
+    return dataclasses.replace(
+        table, camera=dataclasses.replace(camera, noise=dataclasses.replace(camera.noise, read_noise=read_noise))
+    )
+
+
+def test_raising_hardly_changes_the_mean_of_noise_in_the_dark() -> None:
+    table = with_noise_of(with_clipped_white(random_table(BAYER, 12, 64.0), 1.2), 0.005)
     noise = np.random.default_rng(4).normal(size=(200, 200))
-    for signal in (0.0, 0.005, 0.02):  # noise of raw values 0.005, and of outputs half as much
+    for signal, most in ((0.0, 0.1), (0.005, 0.05), (0.02, 0.01)):
         frame = pixels_of(table, signal + 0.005 * noise)
         rendered = signal + 0.0025 * np.random.default_rng(5).normal(size=noise.shape)
         raised = np.maximum(rendered, least_luminance(frame, table))
-        assert abs(raised.mean() - rendered.mean()) < 0.01 * 0.0025
+        assert abs(raised.mean() - rendered.mean()) < most * 0.0025
+
+
+def test_the_noise_of_one_raw_value_makes_no_black_pixels() -> None:
+    """The signal of a grey is three times the noise without light, and one raw value is smaller by twice the noise."""
+    table = with_noise_of(with_clipped_white(random_table(BAYER, 16, 640.0), 1.2), 0.01)
+    signal = np.full((9, 9), 0.03)
+    signal[4, 4] -= 2 * 0.01
+    least = least_luminance(pixels_of(table, signal), table)
+    assert (least > 0.03 / 4).all()
+    assert least[4, 4] < 0.03 / 3
 
 
 @pytest.mark.parametrize(

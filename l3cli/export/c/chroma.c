@@ -80,7 +80,7 @@ static float least_luminance(const uint16_t *padded, int row, int x, int rows, i
     for (int r = top; r <= bottom; r++)
         for (int c = left; c <= right; c++) {
             const int channel = l3_cfa[(r + phase_row) % L3_CFA_ROWS][(c + phase_column) % L3_CFA_COLUMNS];
-            const float above_black = (float)padded[(r + L3_RADIUS) * span + c + L3_RADIUS] - L3_BLACK_LEVEL;
+            const float above_black = (float)padded[(r + L3_RADIUS) * span + c + L3_RADIUS] - L3_LEAST_BLACK_LEVEL;
             const float level = above_black * l3_white_scale[channel];
             if ((r == top && c == left) || level < smallest) smallest = level;
         }
