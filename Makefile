@@ -75,12 +75,12 @@ $(DEMO)/rendered.png: $(DEMO)/table.h5 $(DEMO)/unseen.h5
 $(DEMO)/report.html: $(DEMO)/camera.h5 $(DEMO)/training.h5 $(DEMO)/table.h5 $(DEMO)/unseen.h5
 	$(TIMED) $(L3) report $^ -o $@ --force
 
-# The number of processes exceeds the number of cores by one, because many tests wait for processes that they start. The test files run in
+# The number of processes exceeds the number of cores by two, because many tests wait for processes that they start. The test files run in
 # a fixed order with small files last, so that no long file starts late. Rewriting the assertions takes a third of the time in which
 # each process collects the tests, so only the tests that fail run again with the values in their assertions explained.
 test: ## run the test suite
 	$(call needs,test)
-	$(BIN)/python -m pytest -n $$(( $(JOBS) + 1 )) --dist loadfile --no-loadscope-reorder --assert=plain || \
+	$(BIN)/python -m pytest -n $$(( $(JOBS) + 2 )) --dist loadfile --no-loadscope-reorder --assert=plain || \
 	  { $(BIN)/python -m pytest --last-failed --last-failed-no-failures none; exit 1; }
 
 snakemake: ## test the Snakefile that l3 init writes (one minute)
