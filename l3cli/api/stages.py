@@ -8,7 +8,7 @@ import functools
 import inspect
 import tempfile
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import fields
 from os import PathLike
 from pathlib import Path
@@ -374,7 +374,7 @@ def simulate(scenes: Name, camera: Name | CameraModel, output: Name, options: Si
     from l3cli.stages.simulation import simulate as stage
 
     with file_of(camera, "cameras") as file:
-        stage.simulate(find_recipe(str(scenes), "scenes"), file, Path(output), options)
+        stage.simulate(find_recipe(str(_path(scenes)), "scenes"), file, Path(output), options)
     return store.load(TrainingSet, Path(output))
 
 
@@ -496,8 +496,16 @@ def evaluate(table: Name | TransformTable, frames: Name, options: EvaluateOption
     from l3cli.stages import evaluation
 
     with file_of(table) as file:
-        return evaluation.evaluate(file, Path(frames), options)[0]
+        return evaluation.evaluate(file, _path(frames), options)[0]
 
 
 def _paths(given: Name | Sequence[Name]) -> tuple[Path, ...]:
-    return tuple(map(Path, (given,) if isinstance(given, str | PathLike) else given))
+    return tuple(map(_path, [given] if isinstance(given, str | PathLike) or not isinstance(given, Iterable) else given))
+
+
+def _path(given: Name) -> Path:
+    """Convert a path. Raise TypeError, with the remedy, if an artifact or an array is given instead."""
+    if isinstance(given, str | PathLike):
+        return Path(given)
+    remedy = "; save the artifact with l3cli.save, and give the path of its file" if isinstance(given, Artifact) else ""
+    raise TypeError(f"expected a path, but got an object of type {type(given).__name__}{remedy}")

@@ -198,6 +198,22 @@ def test_mistakes_raise_and_state_what_is_wrong(pipeline: Path, tmp_path: Path) 
         l3.colour  # noqa: B018
 
 
+def test_an_object_in_place_of_a_path_is_named(pipeline: Path, tmp_path: Path) -> None:
+    table: Any = l3.load_table(pipeline / "table.h5")
+    for call in (
+        lambda: l3.simulate(table, "bayer", tmp_path / "a.h5"),
+        lambda: l3.train(table, tmp_path / "a.h5"),
+        lambda: l3.render(table, table, tmp_path / "a.png"),
+        lambda: l3.evaluate(table, table),
+    ):
+        with pytest.raises(TypeError, match=r"object of type TransformTable; save the artifact with l3cli\.save"):
+            call()
+    frames: Any = [np.zeros((4, 4), np.uint16)]
+    with pytest.raises(TypeError, match=r"expected a path, but got an object of type ndarray$"):
+        l3.render(table, frames, tmp_path / "a.png")
+    assert not any(tmp_path.iterdir())
+
+
 def test_options_have_names_types_and_ranges(tmp_path: Path) -> None:
     """mypy, which reads this file, too, knows the types; help() shows the texts of the command line."""
     refused: Callable[..., int] = l3.render
