@@ -128,15 +128,31 @@ class FrameWarnings:
 
 def other_camera(frame: RawFrame, table: TransformTable) -> str:
     """Return a warning if the file comes from a different camera than the table, otherwise ""."""
-    theirs = [_words(name) for name in frame.taken_by]
-    ours = _words(table.camera_name)
-    if not frame.taken_by or any(ours & words - _words(frame.taken_by[0]) or ours == words for words in theirs):
+    if not frame.taken_by or _names_camera(_words(table.camera_name), [_words(name) for name in frame.taken_by]):
         return ""
     name = max(frame.taken_by[:2], key=len)
     return (
         f"the file comes from the camera {name}, but the table is for {table.camera_name}; use a table for this camera, or "
         "set this name in the camera recipe"
     )
+
+
+def _names_camera(words: set[str], names: list[set[str]]) -> bool:
+    """Whether the words of a camera name refer to the camera with these names, of which the first is the manufacturer.
+
+    If both sides contain model numbers, such as 550D, they must have one in common. Otherwise, any common word except the
+    manufacturer is sufficient.
+    """
+    if words in names:
+        return True
+    theirs = set[str]().union(*names)
+    numbers, known = _model_numbers(words), _model_numbers(theirs)
+    return not numbers.isdisjoint(known) if numbers and known else not words.isdisjoint(theirs - names[0])
+
+
+def _model_numbers(words: set[str]) -> set[str]:
+    """Return the words that consist of letters and digits."""
+    return {word for word in words if re.search("[0-9]", word) and re.search("[a-z]", word)}
 
 
 def _words(name: str) -> set[str]:

@@ -332,5 +332,7 @@ def test_white_is_followed_from_the_first_frame_on() -> None:
 def test_another_camera_is_reported_by_its_name(table: TransformTable) -> None:
     names = ("Canon", "Canon EOS Kiss X4", "Canon EOS 550D")
     frame = RawFrame("a.dng", np.zeros((4, 4), np.uint16), 0.0, 100.0, taken_by=names)
-    for name, same in {"canon 550D": True, "my Kiss": True, "Canon 600D": False}.items():
+    known = {"canon 550D": True, "my Kiss": True, "EOS, measured 2026": True, "Canon EOS 550D, 14bit": True}
+    others = {"Canon 600D": False, "Canon EOS 5D": False, "Canon X": False, "Canon EOS Kiss X5": False}
+    for name, same in (known | others).items():
         assert (other_camera(frame, dataclasses.replace(table, camera_name=name)) == "") is same
