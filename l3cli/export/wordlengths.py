@@ -86,9 +86,9 @@ def drawn_mosaic(table: TransformTable, shape: tuple[int, int], seed: int) -> ND
 
 def make_vector(table: TransformTable) -> Vector:
     """Compute the test vector of a table."""
-    frame, reference = _vector_frame(table), ReferenceRenderer(table)
-    labels = np.stack([reference.labels(frame, layer) for layer in range(len(table.layers))])
-    return Vector(frame.values, frame.phase, labels, reference.outputs(frame))
+    frame = _vector_frame(table)
+    exact, labels = ReferenceRenderer(table).exact_classified(frame)
+    return Vector(frame.values, frame.phase, np.stack(labels), exact.astype(np.float32))
 
 
 def _vector_frame(table: TransformTable) -> RawFrame:
@@ -350,9 +350,8 @@ def _drawn_frame(table: TransformTable) -> RawFrame:
 def _outputs(table: TransformTable, frame: RawFrame) -> Callable[[NDArray[np.float32]], NDArray[np.float64]]:
     """Return a function that renders a frame to outputs (output, row, col) with given last-layer weights."""
     reference = ReferenceRenderer(table)
-    labels = reference.labels(frame, len(table.layers) - 1)
     if not table.later:
-        first = table.first
+        first, labels = table.first, reference.labels(frame)
         return lambda weights: output_planes(frame, labels, table, dataclasses.replace(first, weights=weights))
-    last, planes = table.later[-1], reference.planes(frame)
-    return lambda weights: refinement_outputs(planes, labels, dataclasses.replace(last, weights=weights))
+    last, (planes, refined_labels) = table.later[-1], reference.last_layer(frame)
+    return lambda weights: refinement_outputs(planes, refined_labels, dataclasses.replace(last, weights=weights))

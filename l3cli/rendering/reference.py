@@ -53,7 +53,7 @@ class ReferenceRenderer:
         """Return the class map (row, col) of a layer. Layer 0 reads the raw frame."""
         levelled = at_table_levels(frame, self.table)
         labels = self._labels(levelled)
-        return self._refine(levelled, labels, layer)[1] if layer else labels
+        return self._refine(levelled, labels, layer)[1][layer] if layer else labels
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
         """Render a frame to the outputs of the table, (output, row, col)."""
@@ -64,7 +64,8 @@ class ReferenceRenderer:
 
         A table with a single layer has a single class map.
         """
-        return self.outputs(frame), [self.labels(frame, number) for number in sorted({0, len(self.table.later)})]
+        exact, labels = self.exact_classified(frame)
+        return exact.astype(np.float32), [labels[0], *labels[1:][-1:]]
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
         """Render a frame to a picture (row, col, 3).
@@ -88,17 +89,21 @@ class ReferenceRenderer:
         All steps after the layers are included: correction of clipped areas, shading gain, smoothing of spectra or chroma,
         and compensation for the range lost to dark current.
         """
+        return self.exact_classified(frame)[0]
+
+    def exact_classified(self, frame: RawFrame) -> tuple[NDArray[np.float64], list[Integers]]:
+        """Return the result of `exact_outputs` and the class maps (row, col) of all layers."""
         levelled = at_table_levels(frame, self.table)
-        labels = self._labels(levelled)
+        labels = [self._labels(levelled)]
         gain = 1.0 if frame.shading is None else frame.shading.gain_map(frame.values.shape[1])
         made = np.zeros(())
         if self.table.later:
-            planes, refined_labels = self._refine(levelled, labels, len(self.table.later))
+            planes, labels = self._refine(levelled, labels[0], len(self.table.later))
             last, share = self._sets.later[-1], self._sets.share(frame)
-            made = refinement_outputs(planes, refined_labels, last, share, self.table.chroma_outputs)
+            made = refinement_outputs(planes, labels[-1], last, share, self.table.chroma_outputs)
             made = self._with_plain_clipped_areas(made, levelled)
         if not self.table.later or self.table.components:
-            made = made + output_planes(levelled, labels, self.table, self._sets.first)
+            made = made + output_planes(levelled, labels[0], self.table, self._sets.first)
         if (clipped_white := self.table.clipped_white) is not None:
             made = limited_to_white(made, clipped_white)
         made = gain * made
@@ -107,12 +112,13 @@ class ReferenceRenderer:
         if self.table.chroma_smoothing:
             least = least_luminance(levelled, self.table)
             made = smoothed_chroma(made, self.table.chroma_smoothing, self.table.white_point, gain * least)
-        return frame.light_share * made
+        return frame.light_share * made, labels
 
-    def planes(self, frame: RawFrame) -> NDArray[np.int32]:
-        """Return the planes (plane, row, col) that the last refinement layer reads."""
+    def last_layer(self, frame: RawFrame) -> tuple[NDArray[np.int32], Integers]:
+        """Return the planes (plane, row, col) that the last refinement layer reads, and its class map (row, col)."""
         levelled = at_table_levels(frame, self.table)
-        return self._refine(levelled, self._labels(levelled), len(self.table.later))[0]
+        planes, labels = self._refine(levelled, self._labels(levelled), len(self.table.later))
+        return planes, labels[-1]
 
     @functools.cached_property
     def _fixed_points(self) -> list[FixedPoint]:
@@ -134,14 +140,14 @@ class ReferenceRenderer:
             labels = np.where(chosen == number, number * len(self.table.first.weights) + of_set, labels)
         return labels
 
-    def _refine(self, levelled: RawFrame, first_labels: Integers, number: int) -> tuple[NDArray[np.int32], Integers]:
-        """Return the planes that refinement layer `number` (counted from 1) reads, and the layer's class map."""
+    def _refine(self, levelled: RawFrame, first_labels: Integers, number: int) -> tuple[NDArray[np.int32], list[Integers]]:
+        """Return the planes that refinement layer `number` (counted from 1) reads, and class maps up to its own."""
         later = self._sets.later
         planes = first_planes(levelled, first_labels, self.table, self._fixed_points[0])
-        labels = self._refined_labels(planes, first_labels, 0)
+        labels = [first_labels, self._refined_labels(planes, first_labels, 0)]
         for place, fixed in enumerate(self._fixed_points[1:number], 1):
-            planes = refinement_planes(planes, labels, later[place - 1], fixed)
-            labels = self._refined_labels(planes, first_labels, place)
+            planes = refinement_planes(planes, labels[-1], later[place - 1], fixed)
+            labels.append(self._refined_labels(planes, first_labels, place))
         return planes, labels
 
     def _with_plain_clipped_areas(self, made: NDArray[np.float64], levelled: RawFrame) -> NDArray[np.float64]:

@@ -101,9 +101,10 @@ KINDS: dict[str, dict[str, Any]] = {  # how a table is rendered: arguments of Op
 
 
 def assert_equal_to_reference(reference: ReferenceRenderer, device: OpenCLRenderer, frame: RawFrame) -> None:
-    for layer in range(len(reference.table.layers)):
-        np.testing.assert_array_equal(device.labels(frame, layer), reference.labels(frame, layer))
-    exact = reference.exact_outputs(frame)
+    exact, labels = reference.exact_classified(frame)
+    assert len(labels) == len(reference.table.layers)
+    for layer, expected in enumerate(labels):
+        np.testing.assert_array_equal(device.labels(frame, layer), expected)
     rendered = device.outputs(frame)
     assert rendered.dtype == np.float32
     np.testing.assert_allclose(rendered, exact, rtol=0, atol=OUTPUT_TOLERANCE * max(1.0, np.abs(exact).max()))
