@@ -510,7 +510,7 @@ def doubts(camera: CameraModel) -> list[str]:
         return [
             f"the differences between the charts suggest that the lamps drifted by {100 * drift.deviation:.2g} %, which is "
             f'more than the {100 * drift.declared:.2g} % in "uncertainty.lamp_drift"; l3 has widened the confidence bands; '
-            'to correct the drift, set "monitor" to the readings of the lamps'
+            'check the exposure times, and to correct a real drift, set "monitor" to the readings of the lamps'
         ]
     fit = camera.fit.photo if camera.fit else None
     if fit is None:
@@ -565,6 +565,6 @@ def _photo_shortfall(fit: PhotoFit, channels: tuple[str, ...]) -> str | None:
             return (
                 f"{name}: the RMS error of the patches in channel {channels[worst]} is "
                 f"{100 * fit.misfit[index, worst]:.1f} % of the brightest patch, but must not exceed {100 * MOST_MISFIT:g} "
-                "%; check the chart and the illuminant"
+                "%; check the type of the chart and the order of its patches"
             )
     return None

@@ -108,10 +108,10 @@ class FrameWarnings:
         """Yield all warnings, one line each."""
         darkest, brightest = self._meter.learned_range()
         texts = {
-            "darker": f"are darker than all training samples ({darkest:.2g} of full scale); reduce learning.darkest or "
-            "simulate shorter exposures, and train again",
-            "brighter": f"are brighter than all training samples ({brightest:.2g} of full scale); increase "
-            "learning.brightest or simulate longer exposures, and train again",
+            "darker": f"are darker than all training samples ({darkest:.2g} of full scale); check ‹black_level› and "
+            "‹exposure_time›, or reduce learning.darkest and train again",
+            "brighter": f"are brighter than all training samples ({brightest:.2g} of full scale); check ‹white_level›, or "
+            "increase learning.brightest and train again",
             "untrained": "belong to classes without training patches; train on more scenes or increase learning.patches",
             "saturated": "are clipped or next to clipped pixels, where colours are estimates; use a shorter exposure, or "
             "correct ‹white_level›",

@@ -326,7 +326,7 @@ def test_levels_without_training_are_counted(pipeline: Path, capsys: pytest.Capt
         warnings.measure(frame)
     (line,) = warnings.lines()
     assert line.startswith("frame 0 (the worst of 3 affected frames, 5 in total): 100% of the pixels are brighter than")
-    assert line.endswith("simulate longer exposures, and train again")
+    assert line.endswith("increase learning.brightest and train again")
 
 
 LINE = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ (info|warning|error) (\w+) (.*)")
