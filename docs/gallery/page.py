@@ -12,7 +12,8 @@ array for which `l3 init` has a recipe.
 For each colour filter array, we trained a table with the scene recipe `{scenes}` and the class recipe that `l3 init`
 selects. With this table, we rendered a simulated frame of a scene that is not in the training set. The illuminant is
 D65, and a perfect white has a signal of 0.9 of full scale. The errors are the differences between the displayed sRGB
-values of the rendered picture and of the *ideal* picture. `make gallery` writes this page and its pictures.
+values of the rendered picture and of the ground truth (the *ideal* picture, which l3 computes directly from the scene).
+`make gallery` writes this page and its pictures.
 
 For comparison, the frames are also rendered with methods that are not trained:
 
@@ -23,13 +24,13 @@ For comparison, the frames are also rendered with methods that are not trained:
 """
 PICTURES = """![Filters and responsivities of {title}](gallery/{name}.svg)
 
-| Shown at original size. Top: the raw frame and the ideal picture. Bottom: the pictures rendered by l3 and by *basic*. |
+| Shown at original size. Top: the raw frame and the ground truth. Bottom: the pictures rendered by l3 and by *basic*. |
 |---|
-| ![{title}. Top: raw and ideal. Bottom: l3 and basic](gallery/{name}.jpg) |
+| ![{title}. Top: raw frame and ground truth. Bottom: l3 and basic](gallery/{name}.jpg) |
 
 | A part of the same pictures, enlarged 4 times |
 |---|
-| ![{title}, enlarged. Top: raw and ideal. Bottom: l3 and basic](gallery/{name}_crop.png) |
+| ![{title}, enlarged. Top: raw frame and ground truth. Bottom: l3 and basic](gallery/{name}_crop.png) |
 """
 
 
@@ -49,16 +50,16 @@ the luminance is the sum of red, green and blue that fits this scene best.
 """
 POLARISED_PICTURES = """![Filters and responsivities of {title}](gallery/{name}.svg)
 
-The pictures from left to right are ideal, l3 and *bilinear*. The rows show the intensity, the DoLP from 0 (dark blue) to
+From left to right: the ground truth, l3 and *bilinear*. From top to bottom: the intensity, the DoLP from 0 (dark blue) to
 {scale:g} (yellow), and the AoLP as a hue.
 
 | Shown at original size |
 |---|
-| ![{title}. Intensity, DoLP and AoLP: ideal, l3 and bilinear](gallery/{name}.jpg) |
+| ![{title}. Intensity, DoLP and AoLP: ground truth, l3 and bilinear](gallery/{name}.jpg) |
 
 | A part of the same pictures, enlarged 4 times |
 |---|
-| ![{title}, enlarged. Intensity, DoLP and AoLP: ideal, l3 and bilinear](gallery/{name}_crop.png) |
+| ![{title}, enlarged. Intensity, DoLP and AoLP: ground truth, l3 and bilinear](gallery/{name}_crop.png) |
 """
 
 

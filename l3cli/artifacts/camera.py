@@ -132,7 +132,7 @@ class Readout:
     channel_read_noise: NDArray[np.float64] = data(
         "float64", "channel", unit="e-", doc="standard deviation of one reading in the dark, at the gain of the channel"
     )
-    same_filter: NDArray[np.int64] = data("int64", "channel", doc="number of the first channel with the same filter")
+    same_filter: NDArray[np.int64] = data("int64", "channel", doc="index of the first channel with the same filter")
 
     def __post_init__(self) -> None:
         exposure, gain, first = self.channel_exposure, self.channel_gain, self.same_filter
@@ -144,7 +144,7 @@ class Readout:
             raise ValueError("channel_read_noise must be finite and must not be negative")
         if not ((first >= 0) & (first <= np.arange(first.size))).all() or not (first[first] == first).all():
             raise ValueError(
-                "same_filter must contain, for each channel, the number of the first channel with the same filter"
+                "same_filter must contain, for each channel, the index of the first channel with the same filter"
             )
 
     @property
@@ -237,7 +237,7 @@ class Noise:
     prnu: float = data(
         "float64",
         unit="1",
-        doc="photo response nonuniformity: relative standard deviation over pixels, without rows and columns",
+        doc="photo response nonuniformity: relative standard deviation over pixels, excluding row and column components",
     )
     well_capacity: float = data("float64", unit="e-", doc="electrons at which a pixel saturates")
     column_noise: float = data("float64", unit="e-", doc="standard deviation of the fixed offsets of columns", default=0.0)
@@ -558,7 +558,7 @@ class CameraModel(Artifact):
     bits: int = data("int64", unit="bit", doc="bit depth of the analog-to-digital converter")
     channels: tuple[str, ...] = data("str", "channel", doc="names of the spectral channels")
     cfa: NDArray[np.uint8] = data(
-        "uint8", "cfa_row", "cfa_col", doc="number of the channel at each site, for one period of the colour filter array"
+        "uint8", "cfa_row", "cfa_col", doc="index of the channel at each site, for one period of the colour filter array"
     )
     wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="wavelengths of the responsivities")
     responsivity: NDArray[np.float64] = data(

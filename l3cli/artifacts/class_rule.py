@@ -61,7 +61,7 @@ class StoredFeatures:
         "window",
         "window_field",
         unit="pixel",
-        doc="rectangles in the patch: number of the sum to which the rectangle contributes, top, left, rows, columns and "
+        doc="rectangles in the patch: index of the sum to which the rectangle contributes, top, left, rows, columns and "
         "sign",
     )
     constant_counts: NDArray[np.int64] = data("int64", "feature", doc="number of constants of each feature")

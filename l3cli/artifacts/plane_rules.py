@@ -203,7 +203,7 @@ class TreeRule(PlaneClasses):
     trained.
     """
 
-    test: NDArray[np.uint8] = data("uint8", "node", doc="number of the quotient that the node compares with its threshold")
+    test: NDArray[np.uint8] = data("uint8", "node", doc="index of the quotient that the node compares with its threshold")
     threshold: NDArray[np.float32] = data(
         "float32", "node", doc="threshold of the node; larger quotients lead to the second branch"
     )
@@ -253,7 +253,7 @@ class TreeRule(PlaneClasses):
 
     @property
     def leaf(self) -> NDArray[np.int64]:
-        """Number of each leaf, counted from 0, by node. An inner node has the number of the first leaf below it.
+        """Index of the leaf at each node: (node). For an inner node, it is the index of the first leaf below the node.
 
         Leaves are numbered in depth-first order, and the first branch of a node comes before the second.
         """

@@ -146,7 +146,7 @@ class TransformTable(Artifact):
     cols: int = data("int64", unit="pixel", doc="columns of the camera's frames")
     channels: tuple[str, ...] = data("str", "channel", doc="names of the spectral channels")
     cfa: NDArray[np.uint8] = data(
-        "uint8", "cfa_row", "cfa_col", doc="number of the channel at each site, for one period of the colour filter array"
+        "uint8", "cfa_row", "cfa_col", doc="index of the channel at each site, for one period of the colour filter array"
     )
     bits: int = data("int64", unit="bit", doc="bit depth of the raw values")
     black_level: float = data("float64", unit="DN", doc="black level of the raw values that the table expects")

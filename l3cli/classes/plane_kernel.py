@@ -91,7 +91,7 @@ def _parts(rule: TreeRule) -> list[int]:
 
 
 def _leaf_ends(rule: TreeRule) -> NDArray[np.int64]:
-    """Return the number of the last leaf below each node, plus 1."""
+    """Return, for each node, the index of the last leaf below the node, plus 1."""
     end = rule.leaf + 1
     for node in np.flatnonzero(rule.branch)[::-1].tolist():  # children have higher numbers than their parent
         end[node] = end[rule.branch[node] + 1]

@@ -58,14 +58,17 @@ def truncation(shift: int) -> float:
 
 
 def patch_statistics(values: NDArray[np.uint32], rule: ClassRule, order: TapOrder) -> PatchSums:
-    """Compute the sums of each patch. The array `values` is overwritten.
+    """Compute the statistics of training patches that are centred on the same CFA site.
+
+    For each patch, the result contains the sums and the sums of squares of each channel, the saturation code, and the window
+    sums of additional class features.
 
     Parameters
     ----------
     values : ndarray, (tap, patch)
-        Raw values in DN, with the taps in the given order.
+        Raw values in DN, with the taps in the given order. The array is overwritten.
     rule : ClassRule
-        The class rule.
+        Class rule of the first layer. It determines which statistics are needed.
     order : TapOrder
         Order of the taps.
     """
@@ -97,7 +100,7 @@ def mosaic_statistics(
     values : ndarray, (row, col)
         Raw values in DN.
     rule : ClassRule
-        The class rule.
+        Class rule of the first layer. It determines which statistics are needed.
     neighbours : Neighbourhoods
         Result of `neighbourhoods` for the CFA.
     cfa : ndarray, (cfa_row, cfa_col)

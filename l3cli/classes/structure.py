@@ -116,6 +116,8 @@ def name(rule: StructureRule, number: int, site: int) -> str:
     if within == 0:
         return f"{stem}, no direction"
     across, down = rule.turns[site].tolist()
-    angle = 2 * np.pi * (within - 1) / DIRECTIONS  # angle of (a, b) in the orientation in which the site was trained
+    # Angle of the vector (a, b) of `turn_signs`, which is twice the angle of the gradient. It refers to windows in the
+    # orientation that was used to train the site.
+    angle = 2 * np.pi * (within - 1) / DIRECTIONS
     gradient = np.degrees(np.arctan2(np.sin(angle) * down, np.cos(angle) * across)) / 2  # angle below the horizontal
     return f"{stem}, edge at {np.round(90 - gradient, 1) % 180:g}°"

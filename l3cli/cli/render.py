@@ -65,7 +65,7 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
         return clips_result(render_one(table, inputs, output, options))
     if options.shard is not None:
         raise click.UsageError(
-            "--shard works only for one sequence, but the inputs are several clips; render the clips one by one"
+            "--shard works only for one sequence, but there are several input clips; render the clips one by one"
         )
     summary = Summary()
     try:
@@ -80,8 +80,8 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
 def clips_result(summary: "Summary", fault: BaseException | None = None, show_text: bool = False) -> Result:
     """Return the result of `l3 render`.
 
-    `fault` is the error or interruption that ended the command before all clips were rendered, or None. If it is set, or if
-    `show_text` is true, a table of the clips is printed.
+    `fault` is the error or interruption that ended the command before all clips were rendered. It is None if all clips were
+    rendered. If there is a fault, or if `show_text` is true, a table of the clips is printed.
     """
     document = _worded(summary.document())
     text = (lambda: _table(document)) if show_text or fault else None

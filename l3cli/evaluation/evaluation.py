@@ -358,11 +358,17 @@ class Evaluation:
             * viewing: picture samples per degree of visual angle for S-CIELAB.
             * border: width of the margin that is not evaluated, in pixels.
             * pipelines: names of the pipelines. "ours" is first, and rivals are last.
-            * frames: for each frame, its scene, illuminant, luminance (cd/m²), level (mean signal above dark as a fraction
-              of full scale), exposure (s), clipped (fraction of pixels at full scale), shown (fingerprints of the scene and
-              the illuminant, or null), and the metrics of each pipeline. The metrics are the attributes of Quality for XYZ,
-              ReflectanceQuality for reflectances, StokesQuality for Stokes parameters, SingleQuality for a single output,
-              and BandQuality for all other outputs.
+            * frames: list of frames. Each frame has the keys
+
+              * scene and illuminant: names of the scene and the illuminant.
+              * luminance: luminance of the scene's white, in cd/m².
+              * level: mean raw signal after subtraction of the dark signal, as a fraction of full scale.
+              * exposure: exposure time in s.
+              * clipped: fraction of the pixels at full scale.
+              * shown: fingerprints of the scene and of the illuminant that were simulated, or null.
+              * the name of each pipeline: its metrics. They are the attributes of Quality for XYZ, ReflectanceQuality for
+                reflectances, StokesQuality for Stokes parameters, SingleQuality for a single output, and BandQuality for
+                all other outputs.
             * mean: mean of every metric over the frames.
             * better: for each metric and each pipeline except the table, the number of frames in which the table is better.
             * by_level: mean metrics and number of frames, for each range (from, to) of frame levels. A range spans a factor

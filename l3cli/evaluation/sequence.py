@@ -108,7 +108,7 @@ def _exact(frame: Array, before: Array, motion: Array) -> Array:
 def _without_outliers(plane: Array) -> Array:
     """Remove outliers with a median filter, and smooth the result.
 
-    To save time, the median filter uses only a grid of pixels with the spacing GRID_PIXELS.
+    To save time, the median filter is applied only to every GRID_PIXELS-th row and column.
     """
     side = -(-WINDOW // GRID_PIXELS) | 1
     whole = (

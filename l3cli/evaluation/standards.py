@@ -1,7 +1,7 @@
-"""Metrics from standards: MTF of slanted edges, and SNR of a grey target at several illuminances (docs/measurement.md).
+"""Standard metrics: slanted-edge MTF, and SNR of a grey target at several illuminances (docs/measurement.md).
 
-The metrics are measured in pictures. For comparison, theoretical values are computed from the lens, the pixel aperture and
-the camera's noise model.
+The metrics are measured on rendered pictures, and compared with theoretical values. The theoretical MTF is computed from the
+lens and the pixel aperture, and the theoretical SNR from the camera's noise model.
 """
 
 import dataclasses

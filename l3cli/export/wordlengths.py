@@ -281,11 +281,11 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
     Returns
     -------
     psnr : float
-        PSNR of the rounded outputs in dB, for a peak of 1. It includes all steps after the last layer: correction of clipped
-        areas, limit of the luminance, and smoothing of chroma. It also includes the rounding of coarse chroma, if any, in
-        two of the three outputs.
+        PSNR of the rounded outputs in dB, for a peak of 1. It includes all calculations after the last layer: correction of
+        clipped areas, limit of the luminance, and smoothing of chroma. It also includes the rounding of coarse chroma, if
+        any, in two of the three outputs.
     worst : float
-        Largest error before rounding, in output steps.
+        Largest error before rounding, in output steps (differences between successive integers).
     """
     frame, step = _drawn_frame(table), 2.0 ** -output_fraction(table)
     expected, short = _both_outputs(table, words, frame)
@@ -298,7 +298,7 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
 def vector_steps(table: TransformTable, words: ShortWords) -> int:
     """Return the largest error of the outputs of the test vector with 16-bit words, in output steps.
 
-    It includes all steps after the last layer, as in `short_cost`.
+    It includes all calculations after the last layer, as in `short_cost`.
     """
     frame, step = _vector_frame(table), 2.0 ** -output_fraction(table)
     expected, short = _both_outputs(table, words, frame)
@@ -315,9 +315,9 @@ def _both_outputs(
 
 
 def _finished(outputs: NDArray[np.float64], table: TransformTable, frame: RawFrame, *, rounded: bool) -> NDArray[np.float64]:
-    """Apply the range of 16-bit outputs and all steps after the last layer to outputs (output, row, col).
+    """Apply the range of 16-bit outputs and all calculations after the last layer to outputs (output, row, col).
 
-    If `rounded` is true, the outputs are rounded to output steps before and after each step, as in the C source.
+    If `rounded` is true, the outputs are rounded to output steps before and after each calculation, as in the C source.
     """
     step = 2.0 ** -output_fraction(table)
 

@@ -52,7 +52,7 @@ class Scene:
     wavelength: NDArray[np.float64]  # (band) nm; increasing
     reflectance: NDArray[np.float32]  # (row, col, band)
     illuminant: NDArray[np.float64] | None  # (band) radiance of a perfect white in photons/s/sr/m²/nm, or NO_ILLUMINANT
-    # (row, col) mask of pixels without data, which were interpolated from their neighbours; None if all have data
+    # (row, col) mask of pixels without data, which were interpolated from their neighbours; None if all pixels have data
     ignored: NDArray[np.bool_] | None = None
     polarisation: Polarisation | None = None  # None if the light is unpolarised; otherwise, `reflectance` describes S0
 
@@ -65,15 +65,15 @@ class Scene:
             )
         if self.reflectance.ndim != 3 or self.reflectance.shape[2] != bands:
             raise ValueError(
-                f"scene {self.name}: reflectances with the shape {self.reflectance.shape} do not match {bands} wavelengths; "
-                "use an array (row, col, wavelength)"
+                f"scene {self.name}: the reflectances have the shape {self.reflectance.shape}, but there are {bands} "
+                "wavelengths; use an array (row, col, wavelength)"
             )
         if bands > 1 and (np.diff(self.wavelength) <= 0).any():
             raise ValueError(f"scene {self.name}: the wavelengths do not increase; sort the bands and remove duplicates")
         if self.illuminant is not NO_ILLUMINANT and self.illuminant.shape != (bands,):
             raise ValueError(
-                f"scene {self.name}: an illuminant with the shape {self.illuminant.shape} does not match {bands} wavelengths"
-                "; give one value per wavelength"
+                f"scene {self.name}: the illuminant has the shape {self.illuminant.shape}, but there are {bands} "
+                "wavelengths; give one value per wavelength"
             )
         if not np.isfinite(self.reflectance).all():
             raise ValueError(f"scene {self.name}: some values are not finite; replace NaN and infinity with valid values")

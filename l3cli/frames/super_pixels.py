@@ -28,7 +28,7 @@ FRACTION = 15  # number of fractional bits of the stored deviations and of the c
 MAX_COEFFICIENT = 2**13 - 1
 SAME_COLOUR = 0.1  # largest difference between responsivities of the same colour, each divided by its peak
 LARGEST_CONDITION = 20.0  # largest condition number of A, as for the angles in a calibration
-ROWS_AT_ONCE = 64  # rows of super-pixels that are processed together, to limit the use of memory
+ROWS_AT_ONCE = 64  # rows of super-pixels per batch, to limit memory use
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,8 +48,8 @@ def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
     path : Path
         The file.
     answered : container of str
-        Names of the parameters that the user set, such as "black_level". Faults in the file that one of them resolves are
-        ignored.
+        Names of the parameters that the user has set, such as "black_level". If one of these parameters resolves a fault in
+        the file, the fault is ignored.
 
     Returns
     -------

@@ -58,7 +58,7 @@ class KnownCamera(Recipe):
 
 
 class KnownCameras(Recipe):
-    """All built-in cameras, by their keys, such as "nikon_d810"."""
+    """The built-in cameras. `camera` maps short names, such as "nikon_d810", to published properties."""
 
     title: ClassVar[str] = "a table of cameras"
 

@@ -97,7 +97,8 @@ X265_UNIT = 64  # width and height of x265's coding tree units in pixels
 READ_BEHIND = 64  # bytes of padding; FFmpeg may read 16 bytes past the end of a picture (libavutil, frame.h)
 RGB_MATRIX = 0  # ITU-T H.273 matrix coefficients: identity, for RGB
 Y4M = ".y4m"
-# Bits per value of the pictures → pixel format in FFmpeg, label in the y4m header.
+# Bit depth of the rendered pictures → FFmpeg pixel format and colour-space tag in the y4m header. 16-bit pictures are stored
+# with 10 bits.
 Y4M_FORMATS = {8: ("yuv420p", "C420jpeg"), 16: ("yuv420p10le", "C420p10 XYSCSS=420P10")}
 
 
@@ -109,7 +110,7 @@ class VideoChoice:
     """Video settings."""
 
     rate: Fraction  # frames per second
-    bits: int  # bits per value of the pictures: 8 or 16
+    bits: int  # bit depth of the rendered pictures: 8 or 16
     codec: str | None = None  # key of ENCODINGS, or None for the default codec of the file suffix
     crf: float | None = None  # constant rate factor for h264 and h265; None for the encoder's default
     preset: str = "veryfast"  # speed preset for h264 and h265

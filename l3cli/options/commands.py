@@ -107,7 +107,7 @@ class Shares(Reader):
         try:
             shares = tuple(map(self._share, given.split(",") if isinstance(given, str) else given))
         except ValueError as error:
-            raise ValueError(f"{error} (in a list such as 1,0.7,0.4)") from None
+            raise ValueError(f"{error}; separate the numbers by commas, for example 1,0.7,0.4") from None
         if not any(shares):
             raise ValueError(f"all proportions in {shortened(str(given))} are zero; set at least one above zero")
         return shares

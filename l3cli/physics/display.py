@@ -108,25 +108,25 @@ def xyz_from_srgb_matrix() -> Array:
 
 
 def srgb_curve(linear: Array) -> Array:
-    """Clip linear values to 0…1, and encode them as non-linear sRGB (IEC 61966-2-1)."""
+    """Clip linear values to the range 0 to 1, and encode them as non-linear sRGB (IEC 61966-2-1)."""
     return SRGB_CURVE.encoded(linear)
 
 
 def srgb_decoded(encoded: Array) -> Array:
-    """Decode non-linear sRGB values in 0…1 to linear values (IEC 61966-2-1)."""
+    """Convert non-linear sRGB values between 0 and 1 to linear values (IEC 61966-2-1)."""
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
 def codes(encoded: Array, bits: int = 8) -> NDArray[Any]:
-    """Convert encoded values in 0…1 to the codes of a picture file with 8 or 16 bits: round((2^bits − 1) · value).
+    """Convert encoded values between 0 and 1 to 8-bit or 16-bit integers: round((2^bits − 1) · value).
 
-    The caller must clip values outside 0…1.
+    Values outside this range must be clipped before the call.
     """
     return np.floor(encoded * (2**bits - 1) + 0.5).astype(CODES[bits])
 
 
 def srgb_codes(linear: Array, bits: int = 8) -> NDArray[Any]:
-    """Clip linear sRGB values to 0…1, and encode them as integers with 8 or 16 bits."""
+    """Clip linear sRGB values to the range 0 to 1, and encode them as 8-bit or 16-bit non-linear sRGB integers."""
     return codes(srgb_curve(linear), bits)
 
 
@@ -238,7 +238,7 @@ def _delta_e_2000(one: Array, other: Array) -> Array:
     a_1, a_2 = a_1 * stretch, a_2 * stretch
     chroma_1, chroma_2 = _length(a_1, b_1), _length(a_2, b_2)
     both, dot, cross = chroma_1 * chroma_2, a_1 * a_2 + b_1 * b_2, a_1 * b_2 - b_1 * a_2
-    opposed = both + dot <= 1e-9 * both  # whether the hues are opposite or a colour is grey
+    opposed = both + dot <= 1e-9 * both  # True where the hues are opposite, or one of the colours is grey
     far = np.copysign(np.sqrt(np.maximum(2 * (both - dot), 0)), cross)
     hue = np.where(opposed, far, cross * np.sqrt(2 / np.where(opposed, 1, both + dot)))  # 2 √(C₁C₂) sin(Δh/2)
     x, y = (np.where(both > 0, p * chroma_2 + q * chroma_1, p + q) for p, q in ((a_1, a_2), (b_1, b_2)))

@@ -161,10 +161,11 @@ def common_files(rows: int, cols: int) -> dict[str, bytes]:
 
 
 def for_several_lights(starter: Path) -> bool:
-    """Return whether the table in a new folder is trained for several illuminants.
+    """Whether the recipes that `l3 init` writes from `starter` train a table for several illuminants.
 
-    Returns False for benchmarks, because their own recipes specify the illuminants, and for polarisation cameras, because a
-    table with Stokes outputs supports only one illuminant.
+    `starter` is a camera recipe, or the folder of a benchmark. The result is False for benchmarks, because their own recipes
+    specify the illuminants. It is also False for polarisation cameras, because a table with Stokes outputs supports only one
+    illuminant.
     """
     return not starter.is_dir() and starter.stem not in POLARISED
 

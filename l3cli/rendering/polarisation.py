@@ -1,4 +1,4 @@
-"""Convert Stokes parameters to planes for files, and to pictures (docs/polarisation.md#pictures)."""
+"""Convert Stokes parameters to planes for output files, and to pictures for display (docs/polarisation.md#pictures)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,10 @@ TICKS = 4  # intervals into which the ticks divide a colour bar
 
 
 def in_upright_frame(planes: Floats, outputs: tuple[str, ...], orientation: int) -> Floats:
-    """Turn the outputs (output, row, col) upright. `orientation` is a LibRaw flip code.
+    """Rotate the outputs (output, row, col) upright. `orientation` is a LibRaw flip code.
 
-    Angles of polarisation become relative to the horizontal axis of the upright picture. For this purpose, mirroring changes
-    the sign of S2, and transposing changes the sign of S1.
+    S1 and S2 are converted so that the angle of polarisation is measured from the horizontal axis of the upright picture: if
+    the picture is mirrored, S2 changes its sign, and if it is transposed, S1 changes its sign.
     """
     turned = np.moveaxis(upright(np.moveaxis(planes, 0, -1), orientation), -1, 0)
     if has_stokes(outputs) and orientation:

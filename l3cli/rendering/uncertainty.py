@@ -349,9 +349,10 @@ def _line_variances(table: TransformTable, frame: RawFrame) -> tuple[float, floa
 
 
 def _camera_and_dark(table: TransformTable, frame: RawFrame) -> tuple[CameraModel, float]:
-    """Return the table's camera with the frame's remaining noise, and the frame's dark signal.
+    """Return the table's camera with its noise reduced to the noise of the frame, and the frame's dark signal.
 
-    The dark signal is in DN, scaled to the table's black and white levels.
+    In a temporally filtered frame, only the fraction `frame.noise_share` of the noise variance is left. The dark signal is
+    in DN, scaled to the table's black and white levels.
     """
     assert table.camera is not None
     dark = frame.dark * (table.white_level - table.black_level) / (frame.white_level - frame.black_level)

@@ -20,7 +20,7 @@ SEQUENCE_METRICS = {  # column headings of the metrics of a whole sequence
     "psnr": "PSNR (dB)",
     "mean_delta_e": "mean ΔE00",
 }
-FRAME_METRICS = {  # metrics of a frame: title of the plot, label of the y axis, and whether the y axis starts at 0
+FRAME_METRICS = {  # per-frame metrics: (plot title, y-axis label, True if the y axis starts at 0)
     "step_sigma": ("Noise over time", "temporal σ of L* in still patches", True),
     "jump": ("Flicker over time", "jump of mean L* since the previous frame", False),
     "warped_error": ("Error along the motion", "warped error (L*)", True),
@@ -29,11 +29,11 @@ FRAME_METRICS = {  # metrics of a frame: title of the plot, label of the y axis,
     "mean_lightness": ("Brightness over time", "mean L*", False),
 }
 MEANINGS = (
-    "L* is the CIE lightness of the displayed picture, from 0 to 100. Temporal σ is the standard deviation of a pixel over "
-    "time, in still patches, which are areas of 8 × 8 pixels without motion. A large temporal σ of the patch means is "
-    "visible as flickering blotches. A jump is the change of the mean L* since the previous frame, minus the same change in "
-    "the ideal sequence. The warped error is the RMS change of the error between two frames, along the motion of the "
-    "objects."
+    "L* is the CIE lightness of the displayed picture, from 0 to 100. Still patches are areas of 8 × 8 pixels without "
+    "motion. The temporal σ is the standard deviation of a pixel over time in these patches. A large temporal σ of the "
+    "patch means is visible as flickering blotches. A jump is the change of the mean L* since the previous frame, minus the "
+    "same change in the ideal sequence. The warped error is the RMS change of the error from one frame to the next, "
+    "measured along the motion of the objects."
 )
 
 

@@ -32,7 +32,7 @@ from l3cli.system.text import counted, tidy
 Array = NDArray[np.floating]
 MAX_PICTURES = 24  # maximum number of targets shown as pictures
 LEVEL_EDGES = np.geomspace(1e-3, 1.0, 37)  # bin edges of the raw signal, as fractions of full scale
-SATURATED = 0.985  # fraction of full scale from which raw values are saturated (docs/method.md#saturation-cases)
+SATURATED = 0.985  # raw values at or above this fraction of full scale count as saturated (docs/method.md#saturation-cases)
 CELL_SIZE = 0.01  # width and height of a cell in the chromaticity diagram, in units of x and y
 CELLS_PER_SIDE = 100  # number of cells along x and along y
 MIN_RELATIVE_LUMINANCE = 1e-4  # luminance, relative to white, below which pixels are omitted from the diagram

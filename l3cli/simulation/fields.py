@@ -378,7 +378,7 @@ def coverage(patterns: Patterns, label: NDArray[np.integer], down: Array, across
 def _strokes(
     patterns: Patterns, axis: int, label: NDArray[np.integer], position: Array
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Return the fraction of each sample that parallel strokes cover, and the number of the nearest stroke.
+    """Return the fraction of each sample that parallel strokes cover, and the index of the nearest stroke.
 
     `axis` is 0 for strokes and 1 for the bars perpendicular to them. The coverage is exact if the strokes are parallel to
     the sampling grid.

@@ -16,12 +16,12 @@ Field = NDArray[np.float32]
 Size = float | Field
 
 EXPONENT = 2.0  # the density of the radii is proportional to r^-(EXPONENT + 1)
-UNCOVERED = 0.003  # fraction of the picture that may stay uncovered, because covering the last pixels takes too long
+UNCOVERED = 0.003  # fraction of the picture that may stay uncovered, because it takes too long to cover the last pixels
 BATCH_AREA = 1.5  # total area of the bounding squares in a batch, relative to the area of the picture
 BLOCK = 8  # side in pixels of the blocks that are tested for uncovered pixels; each row of a block is one 64-bit word
 SMALL = 40.0  # leaves up to this radius, in pixels, are drawn in groups
 WINDOW_RATIO = 1.15  # ratio of successive window sizes for small leaves
-CHUNK = 1 << 16  # samples that are drawn together, few enough for the processor cache
+CHUNK = 1 << 16  # samples per batch; small enough that a batch fits in the processor cache
 SPARSE_FRACTION = 0.2  # if less than this fraction of a leaf's window is uncovered, only the uncovered pixels are tested
 FREE = np.iinfo(np.int32).max  # label of uncovered pixels, higher than that of any leaf
 OUTSIDE_LABEL = -1  # label of pixels outside the picture, lower than that of any leaf

@@ -421,8 +421,8 @@ def span_of(camera: Detector) -> str:
 def recorded_under(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
     """Compute the spectrum of the illuminant under which a scene was recorded.
 
-    A single measured illuminant keeps its own wavelengths, which are often the bands of the scene. All other illuminants are
-    computed as in `make_light`.
+    If `text` is the name of a measured illuminant, the spectrum is sampled at the wavelengths of the measurement, which are
+    often the bands of the scene. Otherwise, it is sampled at the wavelengths `seen`, as in `make_light`.
     """
     return make_light(text, measured, measured[text][0] if text in measured else seen)
 

@@ -27,7 +27,7 @@ OVERSAMPLING = 2  # samples per pixel in each direction, so that edges need not 
 SMALLEST_RADIUS, LARGEST_RADIUS = 3.0, 100.0  # range of the leaf radii, in pixels
 PAINTS = 0.1  # fraction of the materials in dead leaves that are paints from artists' pigments
 MAX_TIMES_WHITE = 3.0  # largest value in a scene, including highlights, relative to a perfect white
-STRIP = 8  # rows that are drawn together, few enough for the processor cache
+STRIP = 8  # rows per batch; small enough that a batch fits in the processor cache
 Wavelength = NDArray[np.float64]
 Painter = Callable[[Any, np.random.Generator, Wavelength], NDArray[np.float32]]
 
@@ -447,9 +447,9 @@ def colorchecker(size: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def colorchecker_patches(size: tuple[int, int]) -> list[tuple[slice, slice]]:
-    """Return the rows and columns of the 24 square patches if a ColorChecker fills a picture of the given size.
+    """Return the row and column slices of the 24 square patches of a ColorChecker that fills a picture of the given size.
 
-    The patches are listed row by row. The gap between patches is a fifth of a patch.
+    The patches are listed row by row. The gap between patches is a fifth of the side of a patch.
     """
     pitch = min(size[0] / 4.2, size[1] / 6.2)
     side = max(1, int(pitch / 1.2))
@@ -462,7 +462,7 @@ def colorchecker_patches(size: tuple[int, int]) -> list[tuple[slice, slice]]:
 
 
 def patch_grid(reflectance: Array, rows: int, size: tuple[int, int]) -> Cube:
-    """Arrange patches, (patch, band), in a grid that fills the scene. Large patches get dark borders."""
+    """Arrange patches (patch, band) in a grid that fills the scene. Large patches get dark borders."""
     cols = len(reflectance) // rows
     row = np.arange(size[0]) * rows // size[0]
     col = np.arange(size[1]) * cols // size[1]
@@ -580,7 +580,7 @@ def zone_plate(size: tuple[int, int], wavelength: Array, highest: float) -> Cube
 
 
 def frequencies(size: tuple[int, int], wavelength: Array, orders: int) -> Cube:
-    """Draw a row of gratings with frequencies that increase from left to right and contrast that decreases downwards.
+    """Draw a row of gratings. Their frequency increases from left to right, and their contrast decreases downwards.
 
     The frequency doubles from grating to grating, up to 0.5 cycles per pixel in the last grating. The contrast is 1 at the
     top and 1/100 at the bottom.

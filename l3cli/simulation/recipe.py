@@ -253,12 +253,12 @@ def _exposure_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterato
 class Shot:
     """Illuminant, luminance and exposure of one frame."""
 
-    index: int  # number of the frame in the training set
+    index: int  # index of the frame in the training set
     illuminant: str
     luminance: float  # cd/m²
     # exposure time in s, or target fraction of an automatic exposure, depending on `SceneRecipe.exposures`
     exposure: float
-    moment: int = 0  # number of the frame in its clip
+    moment: int = 0  # index of the frame in its clip
 
 
 def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[sources.WantedScene, list[Shot]]]:

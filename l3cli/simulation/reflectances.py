@@ -58,13 +58,13 @@ EXACTNESS = 1e4  # weight of the colour equations relative to smoothness
 
 @dataclass(frozen=True)
 class Surfaces:
-    """Measured reflectances, and a Gaussian distribution that is fitted to their logits."""
+    """Measured reflectances, and a Gaussian distribution fitted to their logits."""
 
     wavelength: Array  # (band,), nm
     measured: Array  # (sample, band), reflectance
     mean: Array  # (band,), mean logit
     components: Array  # (component, band), principal components of the logit, each scaled to one standard deviation
-    drawn: NDArray[np.bool_]  # (band,), whether the wavelength is one of DRAWN
+    drawn: NDArray[np.bool_]  # (band,), True at the wavelengths at which materials are drawn (DRAWN)
 
 
 @functools.lru_cache(maxsize=2)

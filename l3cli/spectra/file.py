@@ -352,7 +352,7 @@ def is_wavelength(heading: str) -> bool:
 
 
 def _bare(cell: str) -> str | None:
-    """Return the unit in a cell, without brackets, or None if the cell does not consist of a unit."""
+    """Return the unit in a cell without its brackets, or None if the cell contains anything else."""
     inside = cell.strip("[]() ")
     known = units.parse(inside) is not None or units.RAW.fullmatch(inside) or inside.lower() == "a.u."
     return inside if inside and (known or re.fullmatch(r"% ?\w+", inside)) else None

@@ -119,7 +119,7 @@ def calibrate(
                 f"the curves have no confidence band; to compute a band, set {light} and wavelength_nm in [uncertainty]"
             )
         csv = f"l3 export {shlex.quote(str(output))} -o DIR"
-        console.info(f"{output}: written; the dataset responsivity contains the curves; to write the curves as CSV: {csv}")
+        console.info(f"wrote {output}; its dataset responsivity contains the curves; to write the curves as CSV: {csv}")
         return camera, result, files.and_wrote(output)
 
 

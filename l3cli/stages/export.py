@@ -95,7 +95,7 @@ def export(camera: Path, output: Path, options: ExportOptions) -> tuple[dict[str
             write_whole(output / name, content)
         if note:
             console.report(note)
-        console.info(f"{output}: {', '.join(files)} written")
+        console.info(f"wrote {', '.join(files)} to {output}")
         return errors, used.and_wrote(*(output / name for name in files))
 
 
@@ -184,5 +184,5 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> tuple[lis
         used = files_to_read({"table": [table]})
         for name, content in files.items():
             write_whole(output / name, content)
-        console.info(f"{output}: {', '.join(files)} written")
+        console.info(f"wrote {', '.join(files)} to {output}")
         return list(files), used.and_wrote(*(output / name for name in files))

@@ -42,7 +42,7 @@ def sole_writer_of_file(path: Path) -> Iterator[bool]:
     Yields
     ------
     bool
-        Whether the storage supports locks. If False, other runs are not prevented from writing the file.
+        False if the file system does not support locks. Then other runs can write the file at the same time.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def sole_writer_of_file(path: Path) -> Iterator[bool]:
 
 @contextlib.contextmanager
 def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] = ()) -> Iterator[bool]:
-    """Context manager that prevents other runs from writing into a folder, or from writing files with one name pattern.
+    """Context manager that prevents other runs from writing into a folder, or only the files in it that match a pattern.
 
     The folder is created if necessary, and removed at the end if it is empty. Leftover temporary files of killed runs and
     worker processes are removed at the start and at the end.
@@ -67,15 +67,15 @@ def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] 
     folder : Path
         The folder.
     name : str
-        Pattern of the output file names. Runs with different patterns may write into the folder at the same time. [default:
-        lock the whole folder]
+        Pattern of the output file names that this run writes. Runs with different patterns may write into the folder at the
+        same time. [default: lock the whole folder]
     inside : tuple of str
         Names of subfolders from which leftover temporary files are also removed.
 
     Yields
     ------
     bool
-        Whether the storage supports locks. If False, other runs are not prevented from writing into the folder.
+        False if the file system does not support locks. Then other runs can write into the folder at the same time.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def _lock_name(name: str) -> str:
 
 @contextlib.contextmanager
 def _locked(output: Path, lock: Path) -> Iterator[bool]:
-    """Hold a lock file during the block, and yield whether the storage supports locks.
+    """Hold a lock file during the block. Yields False if the file system does not support locks.
 
     Folders that are created for the lock file are removed at the end if they are empty.
     """
@@ -125,7 +125,7 @@ def _busy(output: Path) -> L3Error:
 def _take(lock: Path, output: Path) -> int | None:
     """Create the lock file if necessary, and lock it.
 
-    Returns its descriptor, or None if the storage does not support locks. Raises L3Error if another run holds the lock.
+    Returns its descriptor, or None if the file system does not support locks. Raises L3Error if another run holds the lock.
     """
     while True:
         with blamed_on(output):

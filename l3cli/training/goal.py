@@ -34,9 +34,9 @@ class Goal:
     black_level: float  # DN
     white_level: float  # DN
     white_error: Array | float = 0.0  # (channel) relative error of white's signals if they are estimated from patches
-    surfaces: PlainSurfaces | None = None  # measured surfaces under the training illuminant, if used for training
+    surfaces: PlainSurfaces | None = None  # measured surfaces under the training illuminant; None if they are not trained on
     stokes_signals: Array | None = None  # (S1 or S2, channel) change of `white_signal` if S1 or S2 equals S0, or None
-    polarised: Array | None = None  # moments from `polarised_grey` under the training illuminant, if used for training
+    polarised: Array | None = None  # moments from `polarised_grey` under the training illuminant; None if not trained on
     filters: tuple[int, ...] = ()  # (channel) first channel with the same filter, or () if no channels share a filter
     sensitivity: Array | None = None  # (channel) relative sensitivity, or None if all channels are equally exposed
     integers: Integers | None = None  # integer formats of the planes, or None if no refinement layer can follow

@@ -23,7 +23,8 @@ Array = NDArray[np.float64]
 MIN_GREY = 0.3  # darkest grey, relative to the grey that just clips the first channel
 MAX_GREY = 1.6  # brightest grey, relative to the grey that just clips the last channel
 GREY_RATIO = 1.02  # brightness ratio of successive greys
-# Saturation thresholds for the greys, relative to the class rule's threshold. Noise can clip a slightly darker grey.
+# Saturation thresholds at which the channels of a noise-free grey count as clipped, relative to the class rule's threshold.
+# Two of them are lower, because noise can clip pixels of a grey that is slightly below the class rule's threshold.
 CLIPPING_FRACTIONS = (0.94, 0.97, 1.0)
 # Number of greys per training patch, divided by the ratio of clipped to unclipped filters. With a value of 1, the borders
 # between classes would be visible.

@@ -26,7 +26,7 @@ class Offsets(NamedTuple):
     """
 
     values: Floats  # fractions of full scale
-    variance: Floats  # full scale²
+    variance: Floats  # variance of `values`
 
     def transposed(self) -> "Offsets":
         return Offsets(self.values.T, self.variance.T)
@@ -34,7 +34,7 @@ class Offsets(NamedTuple):
 
 @dataclass(frozen=True)
 class LineNoise:
-    """Variances of the row offsets and the column offsets, in full scale²."""
+    """Variances of the row offsets and the column offsets, which are fractions of full scale."""
 
     rows: float
     columns: float  # temporal and fixed offsets together
@@ -48,7 +48,7 @@ class LineNoise:
 
     @property
     def total(self) -> float:
-        """Variance of a pixel's offset, the sum of its row and column offsets, in full scale²."""
+        """Variance of a pixel's offset, which is the sum of its row offset and its column offset."""
         return self.rows + self.columns
 
     def drawn(self, shape: tuple[int, ...], rng: np.random.Generator) -> Offsets:

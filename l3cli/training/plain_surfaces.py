@@ -324,7 +324,7 @@ def _seen(reflectances: Array, to_signals: Array, to_outputs: Array) -> tuple[Ar
 
 
 def _nearest(signals: Array, centres: Array) -> NDArray[np.intp]:
-    """Return each sample's chroma: the number of the nearest chroma centre."""
+    """Return the index of the chroma centre that is nearest to each sample."""
     return np.argmin(((shares(signals)[:, None] - centres[None]) ** 2).sum(axis=2), axis=1)
 
 

@@ -64,8 +64,8 @@ class SiteMap:
     If ``patch`` is a patch at the site, ``patch[permutation]`` has the CFA layout of the canonical site.
     """
 
-    canonical: int  # number of the canonical site
-    orientation: int  # number of the orientation
+    canonical: int  # index of the canonical site
+    orientation: int  # index of the orientation in `orientations`
     permutation: Indices  # (tap) permutation of the taps in this orientation
 
 
@@ -130,12 +130,12 @@ def turned_classes(rule: ClassRule, number: int) -> Indices:
     rule : ClassRule
         Class rule of the first layer.
     number : int
-        Number of the orientation.
+        Index of the orientation in `orientations`.
 
     Returns
     -------
     ndarray, (class)
-        Class within the site.
+        Index of the class within the site.
     """
     transposed, turns = divmod(number, 4)
     place = rule.split(np.arange(rule.classes_per_site))
@@ -169,7 +169,7 @@ def turned_structures(rule: StructureRule, number: int) -> Indices:
     across, down = structure.turn_signs(orientations(3)[number])
     place = rule.split(np.arange(rule.classes_per_site))
     strength, within = np.divmod(place.kind - 1, 1 + DIRECTIONS)
-    direction = DIRECTIONS // 2 - (within - 1) if across < 0 else within - 1  # number of the direction
+    direction = DIRECTIONS // 2 - (within - 1) if across < 0 else within - 1  # index of the direction
     direction = (direction if down > 0 else -direction) % DIRECTIONS
     directed = (place.kind > 0) & (place.kind < rule.structures) & (within > 0)
     return np.asarray(rule.join(place.level, np.where(directed, 2 + strength * (1 + DIRECTIONS) + direction, place.kind)))

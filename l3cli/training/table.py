@@ -366,14 +366,14 @@ def _unit_white(frame: TrainingPair, outputs: tuple[str, ...]) -> NDArray[np.flo
 
 
 def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int, ...], seed: int) -> LayerPass:
-    """Prepare the training of the next refinement layer of a table.
+    """Prepare to train the next refinement layer of a table.
 
     Parameters
     ----------
     table : TransformTable
         Table with all previous layers.
     recipe : TrainingRecipe
-        Class recipe.
+        Class recipe, with the settings for training all layers.
     mosaics : tuple of int, (frame)
         Number of mosaics to draw from each training frame.
     seed : int

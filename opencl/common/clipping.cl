@@ -206,7 +206,9 @@ INLINE Clipped clipped_at(__global const float *row, int x, size_t plane, int co
     return made;
 }
 
-// Returns the factors that scale the signals of other blocks to the brightness of clipped blocks, and computes the likeness after scaling.
+// Compares clipped blocks with other blocks, which have the given signals. Returns the factors that scale these signals to the brightness of the
+// clipped blocks, fitted by least squares to the channels that do not clip. Also computes the likeness, the similarity of the blocks after scaling,
+// from 0 (different surfaces) to 1.
 INLINE floats scale_to(const Clipped *block, const floats *signal, floats *likeness) {
     floats ratio[CHANNELS], sum = 0.0f, squares = FAINTEST, difference = 0.0f;
     for (int k = 0; k < CHANNELS; k++) {

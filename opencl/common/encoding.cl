@@ -38,8 +38,9 @@ INLINE floats cube_root(floats x) {
     return x * (y * y);
 }
 
-// Moves a colour towards the grey of the same lightness until no value is negative. The distance is the smallest root of three cubic
-// polynomials in t, approximated by one step of Halley's method.
+// Moves a colour towards the grey of the same lightness until no linear value is negative. The distance from the grey, relative to the distance
+// of the given colour, is the smallest root of three cubic polynomials, one per linear value. Each root is approximated by one step of Halley's
+// method, which starts at the distance t.
 INLINE void less_chromatic(floats *linear) {
     const float cones[] = {GAMUT_CONES}, back[] = {GAMUT_LINEAR}, light[] = {GAMUT_LIGHTNESS};
     floats chroma[3], squares[3], cubes[3], ends[3], lowest = (floats)0.0f, least = (floats)1.0f;

@@ -1,6 +1,6 @@
 // Processor variant: computes the class of every pixel from the raw frame.
 //
-// A work-item processes a tile of TILE columns and BAND rows, row by row.
+// Each work-item processes one tile of TILE columns and BAND rows, row by row.
 
 // Parameters of all functions that compute classes. CLASSES_READ contains the corresponding arguments.
 #define CLASSES_PARAMETERS \

@@ -1,5 +1,5 @@
-// Processor variant: computes block means from the mosaic, block maps from the means, and quad maps from the block maps (common/clipping.cl). A
-// work-item processes a tile of blocks or quads. Most parts of a frame are dark, textured or unclipped. Vector code finds these parts, and they
+// Processor variant: computes block means from the mosaic, block maps from the means, and quad maps from the block maps (common/clipping.cl). Each
+// work-item processes one tile of blocks or quads. Most parts of a frame are dark, textured or unclipped. Vector code finds these parts, and they
 // are skipped.
 
 #define EACH_OF_TILE \

@@ -1,4 +1,4 @@
-// Processor variant: averages planes over blocks, and smooths the blocks while preserving edges. A work-item processes a tile of blocks.
+// Processor variant: averages planes over blocks, and smooths the blocks while preserving edges. Each work-item processes one tile of blocks.
 
 #define PAIRED(a, b) (__builtin_shufflevector(a, b, ALL_LANES(EVEN)) + __builtin_shufflevector(a, b, ALL_LANES(ODD)))
 

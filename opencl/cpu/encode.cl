@@ -1,7 +1,7 @@
 // Processor variant: encodes the outputs X, Y, Z of a frame. The picture is the same as the one that the kernel `transform` writes. This kernel is
 // used if the exposure is computed from the outputs. The host reads LANES from the kernel's name.
 //
-// A work-item processes a tile of TILE columns and BAND rows.
+// Each work-item processes one tile of TILE columns and BAND rows.
 
 #if LANES == 16
 #define ENCODE encode_16

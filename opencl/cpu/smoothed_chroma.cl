@@ -1,6 +1,6 @@
 // Processor variant: smooths the chroma of a band, and encodes the result (common/smoothed_chroma.cl).
 //
-// A work-item processes a tile of TILE columns and BAND rows. The rows that a pixel and its neighbours occupy are copied to a ring that fits into
+// Each work-item processes one tile of TILE columns and BAND rows. The rows that a pixel and its neighbours occupy are copied to a ring that fits into
 // the first-level cache, with mirrored columns outside the frame. In the planes themselves, the rows of a frame with 2^n columns would evict one
 // another from the cache.
 

@@ -1,6 +1,6 @@
 // Processor variant: smooths the spectra of a band (common/spectra.cl).
 //
-// A work-item processes a tile of TILE columns and BAND rows. A ring buffer contains the brightness of the latest rows, which many windows
+// Each work-item processes one tile of TILE columns and BAND rows. A ring buffer contains the brightness of the latest rows, which many windows
 // share. The weights of neighbours are computed once for all outputs.
 
 #define REACHED (TILE + 2 * RADIUS)

@@ -1,6 +1,6 @@
 // Processor variant: computes the classes of a refinement layer from the luminance plane and the classes of the first layer.
 //
-// A work-item processes a tile of TILE columns and BAND rows, row by row. The structure tensors are separable: products of gradients in the
+// Each work-item processes one tile of TILE columns and BAND rows, row by row. The structure tensors are separable: products of gradients in the
 // latest five rows are summed over the rows and then over the columns, with weights.
 
 #define WINDOW 5

@@ -1,6 +1,6 @@
 // Processor variant: applies the transform of each pixel's class to its patch, and writes the outputs of a layer.
 //
-// A work-item processes a tile of TILE columns and BAND rows, row by row. A layer reads SOURCES planes: the mosaic, or the planes from the
+// Each work-item processes one tile of TILE columns and BAND rows, row by row. A layer reads SOURCES planes: the mosaic, or the planes from the
 // previous layer.
 //
 // The latest rows are stored in a column-major ring, so that a patch fills as few vectors as possible, instead of one short vector per row. For

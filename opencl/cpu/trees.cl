@@ -1,6 +1,6 @@
 // Processor variant: computes the classes of a refinement layer with a decision tree, from its planes and the classes of the first layer.
 //
-// A work-item processes a tile of TILE columns and BAND rows, row by row, and stores the first and second differences of the latest five
+// Each work-item processes one tile of TILE columns and BAND rows, row by row, and stores the first and second differences of the latest five
 // rows. Weighted sums are separable: they are computed over the rows, and then over the columns.
 
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict tests

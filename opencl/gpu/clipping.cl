@@ -1,5 +1,5 @@
-// Graphics variant: computes block means from the mosaic, block maps from the means, and quad maps from the block maps (common/clipping.cl). A
-// work-item processes a block or a quad.
+// Graphics variant: computes block means from the mosaic, block maps from the means, and quad maps from the block maps (common/clipping.cl).
+// Each work-item processes one block or one quad.
 
 #define KERNEL_OF_TILE __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1))) void
 #define ITS_PLACE \

@@ -1,4 +1,4 @@
-// Graphics variant: averages planes over blocks, and smooths the blocks while preserving edges. A work-item processes a block.
+// Graphics variant: averages planes over blocks, and smooths the blocks while preserving edges. Each work-item processes one block.
 
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void average(__global const int *restrict planes, __global float *restrict blocks, int plane_rows, int plane_columns, int rows,

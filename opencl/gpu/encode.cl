@@ -1,5 +1,5 @@
 // Graphics variant: encodes the outputs X, Y, Z of a frame. The picture is the same as the one that the kernel `transform` writes (see
-// cpu/encode.cl). A work-item processes a pixel.
+// cpu/encode.cl). Each work-item processes one pixel.
 
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void encode_1(__global const float *restrict outputs,  // (output, row, col)

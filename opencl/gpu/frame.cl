@@ -1,4 +1,4 @@
-// Graphics variant: computes classes and transforms. A work-item processes a pixel. A work-group processes TILE × BAND pixels and copies them,
+// Graphics variant: computes classes and transforms. Each work-item processes one pixel. A work-group processes TILE × BAND pixels and copies them,
 // with their neighbourhood, to local memory. For classes, local memory also contains the column sums of the patches. Weights are read from
 // global memory through the caches.
 //
@@ -117,7 +117,8 @@ INLINE float square_between(__local const tap *one, __local const tap *other) {
 #endif
 
 #if defined(FIXED_POINT)
-// The intercept of the fourth output is the number of fractional bits of the class.
+// The weights of a class have the format of pack_whole_in_fours (layout.py). The unused fourth output has no taps, and its intercept is the number
+// of fractional bits of the class. output[3] is therefore this number.
 INLINE void write(__global int *picture, const tap *output, __global const float *matrix, size_t at, size_t pixels) {
     for (int o = 0; o < OUTPUTS; o++) picture[o * pixels + at] = plane_value(output[o], output[3]);
 }

@@ -1,4 +1,4 @@
-// Graphics variant: smooths the chroma of a band, and encodes the result (common/smoothed_chroma.cl). A work-item processes a pixel.
+// Graphics variant: smooths the chroma of a band, and encodes the result (common/smoothed_chroma.cl). Each work-item processes one pixel.
 
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void smooth_chroma(__global const float *restrict made,    // (output, row of `made`, col)

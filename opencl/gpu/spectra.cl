@@ -1,4 +1,4 @@
-// Graphics variant: smooths the spectra of a band (common/spectra.cl). A work-item processes a pixel.
+// Graphics variant: smooths the spectra of a band (common/spectra.cl). Each work-item processes one pixel.
 
 #define NEIGHBOURS (WINDOW * WINDOW)
 

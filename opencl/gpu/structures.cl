@@ -1,5 +1,5 @@
-// Graphics variant: computes the classes of a refinement layer from the luminance plane and the classes of the first layer. A work-item
-// processes a pixel.
+// Graphics variant: computes the classes of a refinement layer from the luminance plane and the classes of the first layer.
+// Each work-item processes one pixel.
 
 #ifndef TRANSFORM_ONLY  // another program contains this kernel if TRANSFORM_ONLY is set
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))

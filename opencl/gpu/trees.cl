@@ -1,5 +1,5 @@
-// Graphics variant: computes the classes of a refinement layer with a decision tree, from its planes and the classes of the first layer. A
-// work-item processes a pixel.
+// Graphics variant: computes the classes of a refinement layer with a decision tree, from its planes and the classes of the first layer.
+// Each work-item processes one pixel.
 
 // A node has two words. The first contains the bits of the threshold. The second contains the index of the numerator, the index of the
 // denominator (from bit 6) and the number of the first of two consecutive child nodes (from bit 8). A leaf is its own child, and no value

@@ -243,7 +243,7 @@ def test_the_last_lines_state_peaks_widths_and_files(table: Path, tmp_path: Path
     assert (title, heading, units) == (["curves,", "400…700", "nm"], ["channel", "peak", "FWHM"], ["nm", "nm"])
     assert (red[:2], green[:2], blue) == (["r", "500"], ["g", "600"], ["b", "400", "–"])
     assert 50 < float(red[2]) < 200
-    written = f"{camera}: written; the dataset responsivity contains the curves; to write the curves as CSV: "
+    written = f"wrote {camera}; its dataset responsivity contains the curves; to write the curves as CSV: "
     assert err.splitlines()[-1] == f"{written}l3 export {camera} -o DIR"
 
 

@@ -307,7 +307,7 @@ MISTAKES = """
     2 train training.h5 --shares x -o new.h5
         is not a number
     2 train training.h5 --shares "" -o new.h5
-        in a list such as 1,0.7,0.4
+        separate the numbers by commas, for example 1,0.7,0.4
     2 train training.h5 --shard 4/3 -o new.h5
         use a shard from 1/3 to 3/3
     2 train training.h5 --shard 3 -o new.h5

@@ -296,7 +296,7 @@ class Spectra:
 
     @property
     def has_patches(self) -> bool:
-        """Whether the table has one column per patch of a ColorChecker, and most columns are not narrow-band."""
+        """Whether the table contains the spectra of a ColorChecker: one column per patch, most of them not narrow-band."""
         return len(self.table.values) == PATCHES and not self.narrow
 
 

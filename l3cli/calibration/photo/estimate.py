@@ -94,9 +94,10 @@ def camera_prior(known: CurveStatistics) -> Prior:
 
 
 def unlike(prior: Prior) -> Prior:
-    """Widen the prior of measured cameras to a prior for cameras that differ from them.
+    """Widen the prior of the measured cameras, so that it also covers cameras that are unlike all of them.
 
-    The result has a larger covariance, which includes smooth deviations that no measured camera has.
+    The covariance is multiplied by WIDENING². Then the covariance of smooth deviations is added, which do not occur in any
+    measured camera.
     """
     count, size = prior.mean.shape
     further = np.kron(np.eye(count), _smooth(np.full(size, UNLIKE_SPREAD), UNLIKE_NM))
@@ -128,8 +129,8 @@ def placed(prior: Prior, places: Sequence[int], channels: int) -> Prior:
 def plausible(channels: Sequence[str], known: CurveStatistics | None) -> list[Prior]:
     """Return the priors that may describe a camera.
 
-    If the camera has the channels r, g and b, these are the prior of measured cameras, the prior of cameras that differ from
-    them, and the smooth prior. Otherwise, or if `known` is None, it is only the smooth prior.
+    If the camera has the channels r, g and b, these are the prior of the measured cameras, the wider prior from `unlike`,
+    and the smooth prior. For other cameras, or if `known` is None, it is only the smooth prior.
     """
     if known is None or not set(ROLES) <= set(channels):
         return [smooth(len(channels))]

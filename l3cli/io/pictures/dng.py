@@ -81,7 +81,10 @@ def _file(values: NDArray[np.uint16], software: str, tags: list[Entry], camera: 
 
 
 def _mosaic_tags(pattern: NDArray[np.integer], planes: Sequence[int]) -> list[Entry]:
-    """Return the tags that describe a CFA with the colour codes `pattern`, (row, col), and `planes`, one per plane."""
+    """Return the tags that describe a CFA.
+
+    `pattern` (row, col) contains the colour code of each site. `planes` (plane) contains the colour code of each plane.
+    """
     return [
         entry("CFARepeatPatternDim", SHORT, pattern.shape),
         entry("CFAPattern", BYTE, pattern.ravel()),

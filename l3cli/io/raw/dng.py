@@ -122,7 +122,7 @@ def _in_order(stored: NDArray[np.uint16], fields: tuple[int, int]) -> NDArray[np
 
 
 def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawContent:
-    """Crop the linear pixels `stored`, (row, col), to the default crop, and convert them to a single black level.
+    """Crop the linearised pixels `stored` (row, col) to the default crop, and shift them to one common black level.
 
     Raises InputFileError if the tags contradict the pixels.
     """

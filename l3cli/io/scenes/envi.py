@@ -380,10 +380,11 @@ def _good_bands(header: Header) -> NDArray[np.bool_] | None:
 
 
 def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.float64], float | None]:
-    """Return each band's gain and offset, and the scaled value of a perfect white, or None if it is unknown.
+    """Return three values: the gain of each band, the offset of each band, and the scaled value of a perfect white.
 
-    If `holds` is "reflectance" and the header contains reflectance gains, these are used. Otherwise, the radiance gains are
-    used. Raises InputFileError if a field is invalid, or if two fields scale the data.
+    The third value is None if the header does not specify it. The gains and offsets are those for reflectance if `holds` is
+    "reflectance" and the header contains them. Otherwise, they are those for radiance. Raises InputFileError if a field is
+    invalid, or if the header contains two fields that both scale the data.
     """
     bands = header.whole("bands", 1)
     white = None

@@ -115,7 +115,7 @@ def _angles(folder: Path, paths: list[Path], stated: Sequence[float] | None) -> 
     if stated is None:
         if named is None:
             raise InputFileError(
-                f"{folder}: the file names ({names}) do not contain one angle each; name the pictures like "
+                f"{folder}: cannot read one angle from each file name ({names}); rename the pictures, for example to "
                 'scene_045.png, select the pictures of one scene with the key "pictures", or set "angles_deg"'
             )
         if len(set(named)) < len(named):

@@ -469,10 +469,10 @@ def by_column(weights: NDArray, planes: int) -> NDArray:
 
 
 def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
-    """Pack floating-point weights for the processor variant.
+    """Pack floating-point weights for the CPU kernels.
 
-    Layers with few outputs and taps use side_by_side.cl and the format of `_side_by_side`. All others use floating_point.cl,
-    with the format (class, group, …). A group of up to four outputs consists of:
+    Layers with few outputs and taps are packed by `_side_by_side`, for side_by_side.cl. All other layers are packed for
+    floating_point.cl, as an array (class, group, number). A group contains the weights of up to four outputs:
 
     1. all window taps except the last one, as vectors (vector, output, lane),
     2. the last window tap of each output,

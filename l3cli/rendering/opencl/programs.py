@@ -104,7 +104,7 @@ class Programs:
     variant : str
         A key of layout.VARIANTS.
     lanes : int or None
-        Vector length in the processor variant, or None for the width of the device's registers.
+        Vector length of the variant "processor" (the CPU kernels), or None for the width of the device's registers.
     sets : int
         Number of sets of transforms.
     """

@@ -42,8 +42,8 @@ from l3cli.rendering.opencl.work import (
     stages_of,
 )
 
-LONG_RUN = 1 << 14  # pixels per work-item of the shading kernel in the processor variant
-GROUP = 64  # work-items per group of the shading kernel in the graphics variant, with one pixel each
+LONG_RUN = 1 << 14  # pixels per work-item of the shading kernel on CPUs
+GROUP = 64  # work-items per group of the shading kernel on GPUs; each work-item processes one pixel
 
 
 class DeviceShading:
@@ -144,7 +144,7 @@ class OpenCLRenderer:
     variant : str, optional
         A key of layout.VARIANTS. [default: depends on the device type]
     lanes : int, optional
-        Vector length in the processor variant. [default: the width of the device's registers]
+        Vector length of the variant "processor" (the CPU kernels). [default: the width of the device's registers]
     by_noise : bool
         As in `make_renderer`.
 

@@ -73,7 +73,7 @@ class Track:
         self.means: Any = None  # block means of the mosaic, for the correction of clipped areas
         self.maps: Any = None  # maps of each block (see `classes.clipping`)
         self.uniformity: Any = None  # uniformity of each block
-        self.flags: Any = None  # whether groups of blocks have maps and estimates
+        self.flags: Any = None  # for each group of blocks: whether any block has maps, and whether any signal is estimated
         self.estimates: list[Any] = [None, None]  # estimated signals of clipped blocks, before and after an iteration
         self.quads: Any = None  # `maps`, interpolated to quads of pixels
         self.first: Any = None  # outputs of the first layer, if the last layer corrects them

@@ -18,7 +18,8 @@ Plane = NDArray[np.int32]
 Vectors = NDArray[np.int32]  # (block row, block col, 2) displacement in rows and columns
 
 MAX_COARSE_DISPLACEMENT = 2  # largest displacement in the coarsest plane, in samples of this plane
-CLIPPED = (1 << 12) - 1  # limit of absolute differences in u (module `noise`), so that kernels can sum columns in 16 bits
+# Limit of absolute differences, in units of u (see the module `noise`), so that kernels can sum columns in 16 bits.
+CLIPPED = (1 << 12) - 1
 SETTLED = 5  # a block is not searched if its mean absolute difference is at most 5/8 of the noise standard deviation
 RELUCTANCE = 2  # a new vector replaces the old one only if its cost is lower by this number of noise standard deviations
 NEIGHBOURS = ((-1, 0), (1, 0), (0, -1), (0, 1))  # offsets of the neighbouring blocks that provide candidate vectors
@@ -30,7 +31,7 @@ def planes_of(values: NDArray[np.uint16], grid: Grid) -> list[Plane]:
     Parameters
     ----------
     values : ndarray, (row, col)
-        Mosaic in u, extended to whole blocks.
+        Mosaic in units of u (see the module `noise`), padded to a whole number of blocks.
     grid : Grid
         Cells and blocks of the frame.
 
@@ -114,7 +115,7 @@ class _Search:
         return np.minimum(differences, CLIPPED).sum(axis=(2, 3), dtype=np.int64)
 
     def settled(self, vector: Vectors) -> NDArray[np.bool_]:
-        """Return, for each block, whether noise explains the remaining differences after displacement by `vector`."""
+        """Return which blocks fit after displacement by `vector`: noise alone explains the differences that are left."""
         return self._cost(vector) <= self._settled
 
     def best_of(self, candidates: list[Vectors]) -> Vectors:

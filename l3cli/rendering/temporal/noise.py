@@ -107,7 +107,7 @@ def _repeated(there: int, wanted: int, period: int) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, eq=False)
 class NoiseTerms:
-    """Integer coefficients of the pixel noise, in u.
+    """Integer coefficients of the pixel noise, in units of u.
 
     At the signal S above black, the temporal noise variance is (linear · S >> LINEAR_FRACTION) + constant, and the variance
     of the fixed pattern is fixed + (uneven · S² >> UNEVEN_FRACTION). The fixed pattern is relevant only in moving blocks,
@@ -115,8 +115,8 @@ class NoiseTerms:
     """
 
     protect: int  # left shift that converts DN to u
-    black: int  # black level in u
-    white: int  # white level in u
+    black: int  # black level in units of u
+    white: int  # white level in units of u
     linear: int
     constant: int
     fixed: int
@@ -125,7 +125,7 @@ class NoiseTerms:
     # All pixels of a row have the same offset, so these variances are larger than for independent noise.
     shared_in_cells: int
     shared_nearby: int
-    # (level) standard deviation, in u, of the difference of two frames that are averaged over the CFA period
+    # (level) standard deviation, in units of u, of the difference between two frames that are averaged over the CFA period
     spread: NDArray[np.int32]
 
 

@@ -202,7 +202,7 @@ class OpenCLFilter:
             return replace(frame, values=made[:rows, :cols], noise_share=share, noise_left=of_cells)
 
     def history(self) -> NDArray[np.uint16]:
-        """Return the filtered values (row, col) after the latest frame, in u (see the module `noise`)."""
+        """Return the filtered values (row, col) after the latest frame, in units of u (see the module `noise`)."""
         values = np.empty(self._grid.shape, np.uint16)
         pyopencl().enqueue_copy(self._device.queue, values, self._buffers.history[0])
         return values

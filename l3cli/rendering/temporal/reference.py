@@ -25,16 +25,17 @@ from l3cli.rendering.temporal.noise import (
     to_units,
 )
 
-# Values are in the unit u (see the module `noise`). A residual is a value in the new frame minus the filtered value in the
-# previous frame.
+# All values are integers in units of u, a power-of-two fraction of a DN (see the module `noise`). Frames are padded to a
+# whole number of blocks. A residual is a value in the new frame minus the filtered value in the previous frame.
+#
 # The sum of squared residuals over 3 × 3 cells indicates motion only above 5/4 of its expected value. The excess is
 # multiplied by 4.
 POWER_FACTOR, POWER_FREE = 4, 5
 MEAN_FREE = 2  # the square of a cell's residual sum indicates motion only above this multiple of its expected value
 WIDE_FREE = 6  # the same multiple for the square of the residual sum over 3 × 3 cells
 CUT = 8  # the scene has changed in a cell if the sum of its squared residuals exceeds the expected value by this factor
-CLIPPED = (1 << 14) - 1  # limit of residuals in u, so that kernels sum their squares in 32 bits
-MOST_POWER = (1 << 32) - 1  # limit of a cell's squared residuals in u², so that kernels need only 32 bits
+CLIPPED = (1 << 14) - 1  # limit of residuals in units of u, so that kernels sum their squares in 32 bits
+MOST_POWER = (1 << 32) - 1  # limit of a cell's sum of squared residuals in u², so that kernels need only 32 bits
 MOST_VARIANCE = (1 << 29) - 1  # limit of a cell's noise variance in u², so that kernels need only 32 bits
 MOST_BEYOND = 1 << 42  # limit of the motion evidence in u², so that all sums are exact in float64 (below 2^53)
 FEW = 2  # the filter restarts if the scene has changed in more than 1/FEW of the cells
@@ -49,12 +50,15 @@ LEAST_WEIGHT = ONE // 12  # smallest weight of the new frame
 class Blend:
     """State of the temporal filter after a frame."""
 
-    values: NDArray[np.uint16]  # (row, col) filtered values in u, extended to whole blocks
-    left: Cells  # (cell row, cell col) remaining noise variance relative to a single frame, times ONE
+    values: NDArray[np.uint16]  # (row, col) filtered values in units of u, padded to a whole number of blocks
+    left: Cells  # (cell row, cell col) noise variance of `values`, relative to a single frame, times ONE
 
 
 def first_blend(values: NDArray[np.uint16], grid: Grid) -> Blend:
-    """Return the filter state after the first frame of a scene. The values are in u, extended to whole blocks."""
+    """Return the filter state after the first frame of a scene.
+
+    `values` (row, col) is the frame in units of u (see the module `noise`), padded to a whole number of blocks.
+    """
     return Blend(values, np.full(grid.cells, ONE, np.int64))
 
 
@@ -95,7 +99,7 @@ def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: G
     Parameters
     ----------
     values : ndarray, (row, col)
-        Values of the frame in u, extended to whole blocks.
+        Values of the frame in units of u (see the module `noise`), padded to a whole number of blocks.
     before : Blend
         State after the previous frame.
     vectors : ndarray, (block row, block col, 2)
@@ -130,7 +134,7 @@ def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: G
 
 
 def _moved_left(left: Cells, vectors: Vectors, grid: Grid) -> Cells:
-    """Return the motion-compensated noise fractions of the previous state, read at each cell's displaced centre."""
+    """Return the noise fraction of each cell in the previous state, read at the cell's centre after its displacement."""
     rows, cols = (
         (np.arange(count) * side + side // 2 + _by_cell(vectors[..., axis], grid).swapaxes(0, axis).swapaxes(0, 1)) // side
         for axis, (count, side) in enumerate(zip(grid.cells, grid.cell, strict=True))
@@ -152,13 +156,13 @@ def _evidence(
     Returns
     -------
     pixels : ndarray, (cell row, cell col)
-        Sum over all pixels of the squared residual, in u².
+        Sum of the squared residuals of all pixels, in u².
     cells : ndarray, (cell row, cell col)
-        Squares of each cell's residual sum, added over the 3 × 3 cells, in u².
+        The residuals are summed in each of the 3 × 3 cells. The result is the sum of the squares of these nine sums, in u².
     neighbourhood : ndarray, (cell row, cell col)
-        Square of the residual sum over all 3 × 3 cells together, in u².
+        Square of the sum of the residuals of all pixels, in u².
     expected : ndarray, (cell row, cell col)
-        Expected value of all three measures if there is only independent noise in all pixels, in u².
+        Expected value of each of the three measures if the residuals are independent noise, in u².
     """
     signal = np.maximum(_sums(values.astype(np.int64), grid) - grid.sites * noise.black, 0)
     variance = np.minimum((signal * noise.linear >> LINEAR_FRACTION) + grid.sites * noise.constant, MOST_VARIANCE)

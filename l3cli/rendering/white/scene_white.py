@@ -121,7 +121,7 @@ class GreyRenderer:
         return means
 
     def usable(self, frame: RawFrame, grey: Grey) -> bool:
-        """Whether `signals` can measure a grey area."""
+        """Whether a grey area is suitable for `signals`: not clipped, not too dark, uniform, and large enough."""
         return not _measured(frame, self.table, grey.where)[1]
 
     def of_part(self, frame: RawFrame, where: tuple[slice, slice]) -> NDArray[np.float64]:

@@ -60,7 +60,7 @@ class Job:
     overrides: RawOverrides  # values that replace the metadata of raw files, the dark frame, and corrections
     camera: CameraFile | None  # camera model with the defects and the flat field to correct
     engine: dict[str, str]  # options of the backend
-    shows_photos: bool  # whether the raw files contain a white balance, and the outputs are pictures
+    shows_photos: bool  # True if the raw files contain a white balance and the outputs are pictures
     white_source: WhiteSource | None  # method that finds each frame's white; None to use the white of the rendition
     light_mix: Mix | None  # mixture of the table's illuminants for the option `white`
     rendition: Rendition
@@ -75,12 +75,12 @@ class Job:
 
     @property
     def in_order(self) -> bool:
-        """Whether exposure and white change smoothly from frame to frame, instead of being independent for each still."""
+        """True for sequences, in which exposure and white change smoothly. For stills, each frame has its own values."""
         return not (self.sequence.stills and self.destination.pictures)
 
     @property
     def frames_depend_on_earlier(self) -> bool:
-        """Whether pictures depend on previous frames."""
+        """Whether the picture of a frame depends on previous frames."""
         measures = self.rendition.measures_exposure or self.white_source is not None or self.options.deflicker
         return (self.in_order and measures) or self.options.temporal
 
@@ -203,7 +203,7 @@ def video_choice(options: RenderOptions) -> VideoChoice:
 
 
 def has_display(destination: Destination, options: RenderOptions) -> bool:
-    """Return whether white balance and exposure are applied to the outputs, instead of writing them unchanged."""
+    """True if white balance and exposure are applied to the outputs. False if the outputs are written unchanged."""
     return not destination.linear or options.space is not None
 
 
@@ -221,7 +221,7 @@ def _engine(options: RenderOptions) -> dict[str, str]:
 def _prepared_meanwhile(
     backend: str, engine: dict[str, str], suffix: str | None, scheduler: "Scheduler | None"
 ) -> BackgroundTask:
-    """Prepare the OpenCL device and the writer of `suffix` files in the background, during a `with` block."""
+    """Context manager that prepares the OpenCL device and the writer for files with `suffix` in the background."""
 
     def work() -> None:
         if scheduler is None:
@@ -387,7 +387,10 @@ def _refuse_frames(sequence: FrameSequence, destination: Destination, table: Tra
 
 
 def _folder_or_file(inputs: tuple[Path, ...]) -> str:
-    """Return the input or, for several files, their folder, so that a run can be continued with additional files."""
+    """Return the path that identifies the inputs of a run: the input or, if there are several files, their folder.
+
+    A run can therefore be continued with additional files in the same folder.
+    """
     return os.path.realpath(inputs[0] if len(inputs) == 1 else inputs[0].parent)
 
 

@@ -42,7 +42,7 @@ def write_uncertainty(job: Job, look: Look) -> Path:
     write_picture(path, pixels, (*(f"sigma.{name}" for name in names), "mask"))
     fraction = float((result.mask > 0).mean())
     job.options.console.info(
-        f"{path}: written; {fraction:.1%} of the pixels are in the mask, because they are clipped or their classes have no "
+        f"wrote {path}; {fraction:.1%} of the pixels are in the mask, because they are clipped or their classes have no "
         "training patches"
     )
     return path

@@ -301,7 +301,9 @@ def _merged_pass(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed:
     about = (head.training, tuple(head.patches.tolist()), head.rule, recipe.learning, head.white_point)
     pass_ = TrainingPass(*about, seed, head.pass_number, head.exposure, head.light)
     if head.sites.tolist() != list(pass_.divisors):
-        raise InputFileError(f"{path} contains sums for sites that its camera does not have; train this shard again")
+        raise InputFileError(
+            f"{path} contains training data for CFA sites that its camera does not have; train this shard again"
+        )
     usual, *others = (_learned(each, readers, number) for number, each in enumerate(passes_of(pass_, recipe)))
     return with_noises(usual, others, recipe.learning.noises)
 
@@ -439,7 +441,8 @@ def _with_layer(
     sums = no_sums(layer, rule)
     if (layer.recipe.side, layer.recipe.ratio_taps, list(sums)) != (head.side, head.ratio_taps, head.sites.tolist()):
         raise InputFileError(
-            f"{path} contains sums for windows or sites that its recipe and camera do not have; train this shard again"
+            f"{path} contains training data for CFA sites or window sizes that do not match its camera and class recipe; "
+            "train this shard again"
         )
     for index, site in enumerate(sums):
         for reader in readers:

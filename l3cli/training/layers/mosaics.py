@@ -184,7 +184,8 @@ def _piece_of_pair(pair: TrainingPair, shape: tuple[int, int], camera: CameraMod
     return Mosaics(1, values, np.minimum(values.astype(np.float32), np.float32(camera.white_level)), target)
 
 
-Turn = tuple[int, bool, slice, slice]  # quarter turns, whether mirrored, and the rows and columns to cut out afterwards
+# (number of quarter turns, True if the frame is mirrored, rows to cut out afterwards, columns to cut out afterwards)
+Turn = tuple[int, bool, slice, slice]
 
 
 def _drawn_turn(

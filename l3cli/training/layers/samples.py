@@ -281,7 +281,10 @@ class GatheredSamples:
             self._add_site(sums, samples, chosen[np.argsort(samples.label[chosen], kind="stable")])
 
     def _add_site(self, sums: LayerSums, samples: _Samples, order: Integers) -> None:
-        """Add one site's samples to its sums. `order` contains the samples' indices, sorted by class."""
+        """Add the samples of one site to `sums`, the sums of this site.
+
+        `order` contains the indices of these samples in `samples`, sorted by class.
+        """
         offsets, columns = self.reading.offsets(self._cols), self.reading.columns
         samples = samples._replace(**{name: getattr(samples, name).take(order, axis=0) for name in _Samples._fields[2:]})
         levels = self.rule.split(samples.label).level
