@@ -5,6 +5,7 @@ channel's gain and offset from charts under known illuminants (docs/method.md#ga
 curves need no fit.
 """
 
+import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -383,6 +384,12 @@ def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
     return chart.patch_map(chart.homography(cells, corners), (CHART_ROWS, CHART_COLS), (rows, cols), CORE)
 
 
+@functools.lru_cache(maxsize=1)  # usually, a series of captures shows the chart at one place
+def _cached_patches(corners: tuple[float, ...], rows: int, cols: int) -> NDArray[np.uint8]:
+    """Return the result of `patch_map`. `corners` contains the column and row of each corner in turn."""
+    return patch_map(np.reshape(corners, (4, 2)), rows, cols).astype(np.uint8)
+
+
 def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> tuple[Array, NDArray[np.bool_]]:
     """Measure a chart's patches, averaged over all frames of a capture.
 
@@ -457,7 +464,7 @@ def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray
             'correct "corners", the column and row of each corner'
         )
     try:
-        patches = patch_map(capture.corners, rows, cols)
+        patches = _cached_patches(tuple(capture.corners.ravel().tolist()), rows, cols).copy()
     except np.linalg.LinAlgError:
         raise InputFileError(
             f'{capture.name}: the corners of the chart are on a line; correct "corners" (begin at patch 1 and continue '
@@ -467,7 +474,7 @@ def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray
     patch = patches.ravel()
     pixels = np.flatnonzero(patch < PATCHES)
     channel = body.cfa[(pixels // cols) % body.cfa.shape[0], (pixels % cols) % body.cfa.shape[1]]
-    label = patch[pixels] * channels + channel
+    label = patch[pixels].astype(np.int64) * channels + channel
     count = _per_label(label, np.ones(label.size), channels)
     if not count.all():
         raise InputFileError(

@@ -289,6 +289,25 @@ def test_patches_are_located_in_a_turned_chart_in_perspective() -> None:
     assert (patches[:15] == 24).all()
 
 
+def test_patches_of_a_capture_do_not_depend_on_the_captures_before(body: Body) -> None:
+    """Captures may differ in their defective pixels and in the place of the chart."""
+    values = np.random.default_rng(0).integers(0, 4000, (body.rows, body.cols)).astype(np.uint16)
+    size = np.array([body.cols, body.rows])
+    whole, part = (size * scale * [[0, 0], [1, 0], [1, 1], [0, 1]] for scale in (1.0, 0.8))
+    half = np.argwhere(np.indices(values.shape)[1] % 4 < 2)  # columns of defective pixels
+
+    def measured(corners: np.ndarray, defects: np.ndarray) -> np.ndarray:
+        capture = ChartCapture("chart", 0.1, [values], "A", corners, np.zeros(0), np.zeros((24, 0)))
+        return responsivity.patch_values(capture, body, 4095.0, defects)[0]
+
+    first, *others = (measured(*each) for each in ((whole, no_defects()), (whole, half), (part, no_defects())))
+    for other in others:
+        assert (other != first).all()
+    assert np.array_equal(measured(whole, no_defects()), first)
+    assert np.array_equal(measured(whole, half), others[0])
+    assert np.array_equal(measured(whole, no_defects()), first)
+
+
 # ---------------------------------------------------------------------------------------------------------- noise
 
 

@@ -18,6 +18,7 @@ from l3cli.frames.scene import Scene
 from l3cli.io.images import read_image
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
+from l3cli.simulation import frame as simulated_frame
 from l3cli.simulation.frame import simulate
 from l3cli.simulation.light import Light, automatic_exposure, make_light, make_target
 from l3cli.simulation.recipe import Lens
@@ -181,10 +182,16 @@ def test_a_table_recovers_reflectances_of_its_model(bayer: CameraModel, tmp_path
 
 @pytest.mark.parametrize("outputs", ["reflectance 31", "radiance 31"])
 def test_estimates_stand_beside_a_table(
-    outputs: str, bayer_recipe: Path, tmp_path: Path, l3: L3, capsys: pytest.CaptureFixture[str]
+    outputs: str,
+    bayer_recipe: Path,
+    tmp_path: Path,
+    l3: L3,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(simulated_frame, "DRAWN", 12)
     (tmp_path / "scenes.toml").write_text(SCENES.format(outputs=outputs))
-    (tmp_path / "classes.toml").write_text(CLASSES)
+    (tmp_path / "classes.toml").write_text(CLASSES.replace("spectral_window = 3\n", ""))
     training, table = tmp_path / "training.h5", tmp_path / "table.h5"
     assert l3("simulate", tmp_path / "scenes.toml", "--camera", bayer_recipe, "-o", training, "--quiet")[0] == 0
     assert l3("train", training, "--classes", tmp_path / "classes.toml", "-o", table, "--quiet")[0] == 0
