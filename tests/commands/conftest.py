@@ -12,7 +12,10 @@ from l3cli.calibration.photo import responsivity
 from l3cli.rendering.white import source
 from tests.helpers import raw_files, sequences, still_scene
 from tests.helpers.browser import CHROMIUM, Browser
+from tests.helpers.charts import small_charts
 from tests.helpers.photos import locating_once
+
+__all__ = ["small_charts"]  # an autouse fixture of all tests in this folder
 
 
 @pytest.fixture(autouse=True, scope="session")

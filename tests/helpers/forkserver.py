@@ -25,7 +25,7 @@ IMPORTS = (
     "l3cli.cli.evaluate l3cli.cli.report l3cli.cli.compare l3cli.cli.info l3cli.cli.simulate l3cli.cli.init "
     "l3cli.calibration.model l3cli.training.table l3cli.simulation.frame l3cli.simulation.procedural "
     "l3cli.rendering.reference l3cli.evaluation.evaluation l3cli.io.measurements l3cli.io.curves l3cli.simulation.lab "
-    "l3cli.calibration.figures l3cli.stages.calibration l3cli.stages.lab"
+    "l3cli.calibration.figures l3cli.stages.calibration l3cli.stages.lab tests.helpers.charts"
 )
 
 ENDING = (signal.SIGINT, signal.SIGTERM)
@@ -102,6 +102,7 @@ def serve() -> None:
     without_plots()
     for name in IMPORTS.split():
         __import__(name)
+    vars(sys.modules["l3cli.evaluation.standards"]).update(sys.modules["tests.helpers.charts"].SMALL)
     sys.modules["l3cli.physics.spectra"].reflectance_library(sys.modules["numpy"].arange(400.0, 701.0, 10.0))  # read once
     for line in sys.stdin:
         asked = json.loads(line)
