@@ -53,7 +53,7 @@ class ResponsivityRecipe(Recipe):
 
 
 def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Iterator[Fault]:
-    """Find the faults in the section [responsivity].
+    """Find the faults in the [responsivity] section.
 
     The peak efficiency and the content of files are checked elsewhere.
     """
@@ -112,7 +112,7 @@ def responsivity(declared: ResponsivityRecipe, channels: Sequence[str], folder: 
     Parameters
     ----------
     declared : ResponsivityRecipe
-        A section [responsivity] that has passed `curve_faults`.
+        A [responsivity] section that has passed `curve_faults`.
     channels : sequence of str
         Names of the channels.
     folder : Path

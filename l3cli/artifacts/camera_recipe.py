@@ -248,12 +248,12 @@ class NoiseRecipe(Recipe):
 
 
 def noise_of(recipe: NoiseRecipe) -> Noise:
-    """Convert the section [noise] of a recipe to the noise of a camera model."""
+    """Convert the [noise] section of a recipe to the noise of a camera model."""
     return Noise(**{name: getattr(recipe, key) for name, key in noise_keys().items()})
 
 
 def noise_entries(noise: Noise) -> dict[str, float]:
-    """Convert the noise of a camera model to keys and values of the recipe section [noise]: the inverse of `noise_of`.
+    """Convert the noise of a camera model to keys and values of the [noise] section of a recipe: the inverse of `noise_of`.
 
     Optional keys are omitted if they are zero.
     """
@@ -283,7 +283,7 @@ class GainRecipe(Recipe):
 
 
 def gains_of(recipe: GainRecipe | None, read_noise: float) -> AnalogGains | None:
-    """Convert a valid section [gain] to the gains of a camera model. Returns None if the recipe has no such section.
+    """Convert a valid [gain] section to the gains of a camera model. Returns None if the recipe has no such section.
 
     `read_noise` is the read noise at sensor.gain_dn_per_e, in e-.
     """
@@ -300,7 +300,7 @@ def gains_of(recipe: GainRecipe | None, read_noise: float) -> AnalogGains | None
 
 
 def gain_faults(recipe: GainRecipe, read_noise: float) -> Iterator[Fault]:
-    """Find the faults in the section [gain]. `read_noise` is the camera's read noise in e-."""
+    """Find the faults in the [gain] section. `read_noise` is the camera's read noise in e-."""
     if len(recipe.gains) != len(recipe.read_noise_e):
         message = f"gain.gains has {len(recipe.gains)} values, but gain.read_noise_e has {len(recipe.read_noise_e)}"
         yield fault(f"{message}; write one read noise per gain", "gain.read_noise_e", "gain.gains")
@@ -330,17 +330,17 @@ class MaskedRecipe(Recipe):
 
 
 def masked_recipe(masked: MaskedPixels | None) -> MaskedRecipe | None:
-    """Return the section [masked] that describes the masked pixels of a camera model: the inverse of `masked_of`."""
+    """Return the [masked] section that describes the masked pixels of a camera model: the inverse of `masked_of`."""
     return None if masked is None else MaskedRecipe(*dataclasses.astuple(masked))
 
 
 def masked_of(recipe: MaskedRecipe | None) -> MaskedPixels | None:
-    """Return the masked pixels that the section [masked] describes, or None if there is no such section."""
+    """Return the masked pixels that the [masked] section describes, or None if there is no such section."""
     return None if recipe is None else MaskedPixels(**msgspec.structs.asdict(recipe))
 
 
 def masked_faults(recipe: MaskedRecipe | None, channels: Mapping[str, ChannelRecipe]) -> Iterator[Fault]:
-    """Find the faults in the section [masked], including conflicts with the sections [channel.NAME] in `channels`."""
+    """Find the faults in the [masked] section, including conflicts with the [channel.NAME] sections in `channels`."""
     if recipe is None:
         return
     if not any(msgspec.structs.astuple(recipe)):
@@ -357,7 +357,7 @@ class OpticsRecipe(Recipe):
 
 
 def optics_of(recipe: OpticsRecipe) -> Optics:
-    """Convert the section [optics] of a recipe to the optics of a camera model."""
+    """Convert the [optics] section of a recipe to the optics of a camera model."""
     return Optics(
         focal_length=recipe.focal_length_mm * 1e-3,
         f_number=recipe.f_number,
@@ -366,7 +366,7 @@ def optics_of(recipe: OpticsRecipe) -> Optics:
 
 
 def optics_recipe(optics: Optics) -> OpticsRecipe:
-    """Convert the optics of a camera model to a section [optics]: the inverse of `optics_of`."""
+    """Convert the optics of a camera model to an [optics] section: the inverse of `optics_of`."""
     return OpticsRecipe(
         focal_length_mm=round(optics.focal_length * 1e3, 9),
         f_number=optics.f_number,

@@ -48,8 +48,9 @@ MIN_SIGNAL = 0.02  # smallest signal used as a divisor, as a fraction of full sc
 # The weight of the surrounding hue is L / (L + D). L is the similarity of the surroundings, as a fraction of its maximum.
 # D is HUE_DOUBT plus GREY_DOUBT times the squared similarity of the clipped block to white.
 HUE_DOUBT, GREY_DOUBT = 0.05, 12.0
-# Distances in pixels over which the estimates of clipped blocks spread over uniform areas, one per step. The last step is
-# shorter. Otherwise, blocks at different multiples of a distance would never be averaged, and skies would have bands.
+# The estimates of clipped blocks spread over uniform areas in several passes. These are the distances of the passes in
+# pixels. The last one is shorter. Otherwise, blocks at different multiples of a distance would never be averaged, and skies
+# would have bands.
 SPREAD_DISTANCES = (32, 32, 32, 32, 32, 16)
 MAX_CHANGE = 0.6  # estimates spread only to blocks with a smaller mean squared relative difference in the unclipped channels
 WHITE_DOUBT = 0.001  # ridge that limits the amount of white in the mixture with the surrounding colour
@@ -246,7 +247,7 @@ def hue_spacing(side: int) -> int:
 
 
 def spread_spacings(side: int) -> tuple[int, ...]:
-    """Return how far each step spreads the estimates, in blocks of `side` pixels."""
+    """Return how far each pass spreads the estimates, in blocks of `side` pixels."""
     return tuple(max(distance // side, 1) for distance in SPREAD_DISTANCES)
 
 
@@ -320,7 +321,7 @@ def estimated_maps(
 
     A nearby block may show the same surface under less light. To test this, l3 scales its signals to the brightness of the
     clipped block. If the surface is the same, the scaled signals equal the clipped block's unclipped channels, and reach
-    full scale in its clipped channels. The estimates then spread over uniform areas, such as a sky, in several steps.
+    full scale in its clipped channels. The estimates then spread over uniform areas, such as a sky, in several passes.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ HEAD = 5
 
 
 class DirectionKeys(Recipe):
-    """The section [classes.direction] of a class recipe."""
+    """The [classes.direction] section of a class recipe."""
 
     orientations: Literal[4, 8] = 4  # number of distinguished orientations
     strengths: tuple[float, ...] = (4.0,)  # edges between strengths, as multiples of the noise in a difference

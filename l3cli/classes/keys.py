@@ -1,4 +1,4 @@
-"""Keys in the section [classes] of a class recipe: the patch, and the features level, contrast, saturation and chroma."""
+"""Keys in the [classes] section of a class recipe: the patch, and the features level, contrast, saturation and chroma."""
 
 from typing import Annotated, Literal
 

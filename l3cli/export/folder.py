@@ -111,14 +111,14 @@ LAYERS = {
     "hue_doubt[1] * l_0^2)). M(d) = (1 - k) * s + k * max(s, max(0, a - b * w) * d + b * white). <...> is the sum with the "
     "weights 1 - k, and d' and n' are d and white divided by max(s, hue_darkest). a = <d'> / (faintest + <d'^2>), w = <d' "
     "n'> / (faintest + <d'^2>) and b = max(0, <(n' - w d') * (1 - a d')>) / (hue_white_doubt + <(n' - w d')^2>). Then the "
-    "estimates spread in as many steps as spread_spacing has pairs. In each step, a block is compared with the eight "
+    "estimates spread in as many passes as spread_spacing has pairs. In each pass, a block is compared with the eight "
     "blocks at a distance of the first number of the pair in rows, or of the second in columns of blocks. A compared "
     "block without a clipped channel has E = o and p = 1, and one that is too dark or in which all channels clip has "
     "p = 0. q = f * (1 - min k) * p * max(0, l - u / spread_change) with p, r and l of the compared E. f is the "
     'product of the f of "clipping" of both blocks and of the block halfway (half of the distance, rounded down), and '
     "u = sum of (1 - k) * (1 - o / max(s, hue_darkest))^2 / (faintest + sum of (1 - k)). The new E is M of the mean "
     "of the own E with the weight p and of r * E with the weights q / 2, or q / 4 on diagonals. The new p is the "
-    "maximum of p and q. After the last step, c = p * max k, x = c * X / Y and z = c * Z / Y, where X, Y, Z = sum of "
+    "maximum of p and q. After the last pass, c = p * max k, x = c * X / Y and z = c * Z / Y, where X, Y, Z = sum of "
     "E * response[0], and both ratios are limited to 0 ... hue_most",
     "later class": "(site * levels + level // level_step) * kinds + kind, with the level and the case of the first layer. "
     "kind is the structure or the leaf if case <= spared_cases, otherwise structures - 1 + case - spared_cases. A layer "

@@ -302,7 +302,7 @@ class DarkFrame:
 
     name: str
     level: float  # DN; mean over all pixels except hot pixels
-    offset: NDArray[np.int32]  # (row, col) DN; difference between each pixel and `level`, without the remaining noise
+    offset: NDArray[np.int32]  # (row, col) DN; difference between each pixel and `level`, shrunk because of noise
     phase: tuple[int, int]  # CFA row and column of the first pixel
     orientation: int  # as in RawFrame
     exposure: float | None  # exposure time in s; None if unknown
@@ -318,7 +318,7 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
 
     The noise in the mean of n frames is 1/√n of one frame's noise, and would be added to every picture. The difference d
     between a pixel and the mean level is therefore shrunk to d · max(0, 1 − σ²/d²), where σ is the standard deviation of
-    the remaining noise (non-negative garrote, Breiman 1995). A few dark frames are then enough to remove hot pixels almost
+    the noise in the mean (non-negative garrote, Breiman 1995). A few dark frames are then enough to remove hot pixels almost
     completely. Weak patterns are removed better with more frames. σ is estimated from the differences between consecutive
     frames or, if there is only one frame, from the spread of its pixels.
 

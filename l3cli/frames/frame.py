@@ -68,7 +68,7 @@ class RawFrame:
     gain: float = 1.0  # analog gain, relative to the gain of the camera model
     baseline_exposure: float = 0.0  # EV; brightening of pictures that the file recommends
     noise_share: float = 1.0  # noise variance as a fraction of the camera's noise variance; below 1 after a temporal filter
-    noise_left: NoiseLeft | None = None  # remaining noise fraction of each cell; None for 1 everywhere
+    noise_left: NoiseLeft | None = None  # noise fraction of each cell after a temporal filter; None for 1 everywhere
     warps: tuple[LensWarp, ...] = ()  # lens corrections for the rendered picture, in order of application
     notes: tuple[str, ...] = ()  # warnings about processing that the file requests but l3 does not support
     exchangeable: bool = False  # whether a headerless file would also fit a frame with rows and columns exchanged

@@ -4,7 +4,7 @@
    of each row has been subtracted.
 2. Values that deviate from their row's median by more than `OUTLIER` standard deviations, such as hot pixels, are left out.
 3. A row's offset is estimated as the mean of its remaining values, minus the mean over all rows. The estimate is multiplied
-   by its reliability, so that the remaining noise is as small as possible.
+   by its reliability, so that the row noise after the correction is as small as possible.
 4. The offset is subtracted from all pixels in the row. Because pixel values are whole DN, a fractional offset is rounded up
    in some pixels and down in others, so that the mean over the row is correct.
 

@@ -314,7 +314,7 @@ def noise_limits(table: TransformTable) -> dict[NoiseScale, float]:
 
 
 class NoiseSets:
-    """A table's sets of transforms. Renderers choose a set for each pixel by the pixel's remaining noise.
+    """A table's sets of transforms. Renderers choose a set for each pixel by its noise fraction after the temporal filter.
 
     The first set is for the camera's full noise, and the others are for lower noise. The arrays of all sets are
     concatenated. Classes are numbered consecutively over all sets, as if each set had its own CFA sites.

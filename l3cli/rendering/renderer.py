@@ -91,8 +91,8 @@ def make_renderer(backend: str, table: TransformTable, by_noise: bool = False, *
     table : TransformTable
         Table that renders the frames.
     by_noise : bool
-        Whether each pixel uses transforms that match its remaining noise after the temporal filter. Otherwise, all pixels
-        use the transforms for the camera's full noise.
+        If True, each pixel uses the transforms for its noise after the temporal filter. If False, all pixels use the
+        transforms for the camera's full noise.
     **options
         Options of the backend. "opencl" has the options `device` and `variant` (see `OpenCLRenderer`).
 
@@ -116,8 +116,8 @@ def make_renderer(backend: str, table: TransformTable, by_noise: bool = False, *
 class NoiseRenderer:
     """Renderer that adapts its table to the analog gain and noise of each frame.
 
-    In temporally filtered frames, each pixel uses the transforms for its remaining noise. If the table has no transforms for
-    low noise, the class thresholds are instead adapted to the frame's mean noise.
+    In temporally filtered frames, each pixel uses the transforms for its noise after the filter. If the table has no
+    transforms for low noise, the class thresholds are instead adapted to the frame's mean noise.
 
     Parameters
     ----------

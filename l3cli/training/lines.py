@@ -100,7 +100,7 @@ class SharedNoise:
         return replace(self, shares=self.shares[first:last])
 
     def covariances(self) -> Floats:
-        """Return the noise covariance of each tap pair in `line_pairs`, summed over the patches, in full scale²."""
+        """Return the noise covariance of each tap pair in `line_pairs`, summed over the patches."""
         pairs = line_pairs(int(np.sqrt(self.shares.shape[1])))
         variance = np.where(pairs.is_row, np.float32(self.noise.rows), np.float32(self.noise.columns))
         return np.asarray((self.shares.T @ self.shares)[pairs.first, pairs.second] * variance)

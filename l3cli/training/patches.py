@@ -32,7 +32,7 @@ class Patches:
 
     signal: Floats  # (patch, tap) as a fraction of full scale
     target: Floats  # (patch, output) in the output unit of the table
-    carried: Floats | None = None  # (patch, tap) variance of the noise in measured signals, in full scale²; None for 0
+    carried: Floats | None = None  # (patch, tap) variance of the noise in measured signals; None for 0
     colourless: NDArray[np.bool_] | None = None  # (patch) whether colours were replaced by greys; None if nowhere
 
     def possible(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -321,7 +321,7 @@ def levels_at(recipe: LearningRecipe, places: NDArray[np.float64]) -> NDArray[np
     Parameters
     ----------
     recipe : LearningRecipe
-        The section [learning] of the class recipe.
+        The [learning] section of the class recipe.
     places : ndarray
         Random numbers between 0 and 1.
 
@@ -393,7 +393,7 @@ def expose_patches(
     rng : numpy.random.Generator
         Random number generator.
     carried : ndarray, optional
-        Noise variance that measured signals already contain, in full scale². Only the remaining noise is added.
+        Variance of the noise that measured signals already contain. Only the rest of the camera's noise is added.
         [default: 0]
     dark : float
         Dark signal that was subtracted from the frame, in DN.
@@ -431,7 +431,7 @@ def lacking_variance(
     dark: float = 0.0,
     channel: NDArray[np.integer] | None = None,
 ) -> Floats:
-    """Return the noise variance that must be added to signals to match the camera's raw values, in full scale².
+    """Return the noise variance that must be added to signals, as fractions of full scale, to match the camera's raw values.
 
     It is 0 for clipped signals. The parameters are the same as for `expose_patches`.
     """
@@ -448,7 +448,7 @@ def _variance(
     later: float = 0.0,
     channel: NDArray[np.integer] | None = None,
 ) -> Floats:
-    """Return the noise variance to add to each signal, in full scale².
+    """Return the variance of the noise to add to each signal. Signals are fractions of full scale.
 
     Two variances are subtracted from the camera's noise variance: `carried`, which the signals already contain, and `later`,
     which rounding will add (in DN²). All other parameters are the same as for `expose_patches`.

@@ -57,7 +57,7 @@ class LearningRecipe(Recipe):
     # luminance_noise and chroma_noise have no effect; "none" trains for noise-free frames
     noise: Literal["analytic", "sampled", "none"] = "analytic"
     # fraction of the temporal noise for which a second set of transforms is trained, or 0 for no second set;
-    # l3 render --temporal uses this set for pixels with little remaining noise (docs/method.md#noise-sets)
+    # l3 render --temporal uses this set for pixels whose noise is low after the temporal filter (docs/method.md#noise-sets)
     noise_left: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.0
     # illuminants for which separate transforms are trained in addition to the common ones; at rendering, the white of the
     # scene selects the transforms (docs/method.md#several-illuminants)
@@ -240,7 +240,7 @@ def require_one_go(learning: LearningRecipe) -> None:
 
 
 def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
-    """Yield the faults in the section [learning]."""
+    """Yield the faults in the [learning] section."""
     if not 0 <= recipe.darkest < recipe.highlight_from < recipe.brightest:
         keys = ("learning.darkest", "learning.highlight_from", "learning.brightest")
         message = (

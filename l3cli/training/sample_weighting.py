@@ -44,7 +44,7 @@ class ColourWeighting:
         Parameters
         ----------
         clean, variance : ndarray, (patch, tap)
-            Noise-free signals as fractions of full scale, and the variance of their noise in full scale².
+            Noise-free signals as fractions of full scale, and the variance of their noise.
         target : ndarray, (patch, 3)
             Ideal X, Y and Z.
         level : ndarray, (patch)

@@ -59,7 +59,7 @@ def shrunk(
     rule : ClassRule
         Class rule of the first layer.
     recipe : LearningRecipe
-        The section [learning] of the class recipe.
+        The [learning] section of the class recipe.
 
     Returns
     -------
@@ -198,7 +198,7 @@ def solve(
     turns : list of Turn
         Orientations that leave the CFA layout of the window unchanged. The sums are averaged over these orientations.
     recipe : LearningRecipe
-        The section [learning] of the class recipe.
+        The [learning] section of the class recipe.
     goal : Goal
         The training goal.
 
@@ -357,7 +357,7 @@ def equal_responses(
     rule : ClassRule
         Class rule of the first layer.
     recipe : LearningRecipe
-        The section [learning] of the class recipe.
+        The [learning] section of the class recipe.
     goal : Goal
         The training goal.
 

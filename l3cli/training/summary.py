@@ -49,7 +49,7 @@ def insight(table: TransformTable) -> dict[str, Any]:
         * ``worst``: the trained classes with the largest noise gain in Y, or in any output if there is no Y
         * ``later``: result of `refinement_layer` for each refinement layer
         * ``lights``: name and colour temperature, in K, of each illuminant with separate transforms
-        * ``noises``: name, analog gain and remaining noise fraction of each additional set of transforms
+        * ``noises``: name, analog gain and noise fraction (after the temporal filter) of each additional set of transforms
         * ``spectra``: settings for smoothing spectra: window in pixels, and largest relative difference in brightness
         * ``chroma_smoothing``: settings for smoothing chroma: largest differences in luminance and chroma
 

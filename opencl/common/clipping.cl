@@ -346,7 +346,7 @@ INLINE void store_maps_of(int y, int x, __global const float *restrict means, __
 }
 
 // Spreads the estimates `from` over uniform areas, by `down` rows and `across` columns of blocks, and stores the new estimates in `to`. The
-// last step also stores the hue in `maps`, and adds the estimated outputs to the first four maps.
+// last pass also stores the hue in `maps`, and adds the estimated outputs to the first four maps.
 INLINE void spread_at(int y, int x, __global const float *restrict means, __global const float *restrict response,
                       __global const float *restrict uniformity, __global const float *restrict from, __global float *restrict to,
                       __global float *restrict maps, __global const uchar *restrict flags, int down, int across, int last, int rows,

@@ -1,4 +1,5 @@
-// Converts outputs to picture values, for the number of pixels in `floats`. The float64 reference is l3cli/rendering/display.py.
+// Converts outputs to picture values. A call processes as many pixels as `floats` has lanes. The float64 reference is
+// l3cli/rendering/display.py.
 //
 // Macros from the host select the result. With PLANES, outputs are written unchanged. Otherwise, X, Y and Z are converted to three integers per
 // pixel, of type CODE and up to TOP, by a matrix, gamut mapping and the transfer curve of a colour space.
@@ -97,7 +98,7 @@ INLINE void darker(floats *linear) {
 }
 #endif
 
-// Whether any lane has its sign bit set.
+// Returns whether any lane has its sign bit set.
 INLINE bool any_negative(floats value) {
 #if LANES == 1
     return value < 0.0f;

@@ -1,6 +1,6 @@
 // Mirrors samples outside a frame about its outermost samples.
 
-// Returns the index `wanted`, or the nearest of 0 … length - 1. In PoCL 3.0, min and max are slow function calls.
+// Returns the index `wanted`, clamped to 0 … length - 1. In PoCL 3.0, min and max are slow function calls.
 INLINE int within_length(int wanted, int length) { return wanted < 0 ? 0 : wanted < length ? wanted : length - 1; }
 
 // Returns the index `wanted`, mirrored into 0 … length - 1.

@@ -1,5 +1,5 @@
-// Computes the class of each pixel from sums over its patch, for both variants and for the number of pixels in `uints`. Features are combined
-// as in ClassRule and l3cli/classes/decide.py. Unsigned arithmetic may wrap around, but the results are exact.
+// Computes the class of each pixel from sums over its patch, on CPUs and GPUs. A call processes as many pixels as `uints` has lanes. Features are
+// combined as in ClassRule and l3cli/classes/decide.py. Unsigned arithmetic may wrap around, but the results are exact.
 
 // CFA phase of padded row or column p. This is row or column p - RADIUS of the frame, which begins at the phase `start`.
 #define PADDED_PHASE(p, start, period) (((p) + (start) + ((period) - 1) * RADIUS) % (period))

@@ -1,8 +1,8 @@
 // Temporal filter: types and functions for temporal_motion.cl and temporal_blend.cl. These kernels blend a mosaic with the history, which is the
 // filtered previous mosaic. The reference is l3cli/rendering/temporal/reference.py.
 //
-// All computations are exact, so that all devices have the same results. A work-item processes STRIP adjacent blocks. Frames consist of
-// whole blocks and are `columns` wide. Values are u = DN << free_bits, with at most 16 bits.
+// All computations are exact, so that all devices have the same results. Each work-item processes STRIP adjacent blocks. Frames are padded to a
+// whole number of blocks and are `columns` wide. Values are integers u = DN << free_bits, which use at most 16 bits.
 
 #define CELL_ROWS (BLOCK_ROWS / CELL_DOWN)
 #define CELL_COLUMNS (BLOCK_COLUMNS / CELL_ACROSS)
@@ -79,5 +79,5 @@ INLINE ints most_of(ints a, int b) {
     return a > other ? a : other;
 }
 
-// Converts DN to u, which has `free_bits` fractional bits.
+// Converts DN to u, which has `free_bits` fractional bits of a DN.
 INLINE ints units(ints value, int free_bits) { return least_of(value, (1 << (16 - free_bits)) - 1) << free_bits; }

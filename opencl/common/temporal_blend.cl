@@ -139,8 +139,8 @@ __kernel void weigh(__global const uint *restrict powers, __global const int *re
     cuts[block_row * get_global_size(0) + get_global_id(0)] = SUM_CELLS(others);
 }
 
-// Blends the frame with the history. Writes the new history in u (new_kept), the filtered frame in DN (made), and the means of the new history
-// over CFA periods (plane). With `restart`, the history is ignored.
+// Blends the frame with the history. Writes the new history as integers u (new_kept), the filtered frame in DN (made), and the means of the new
+// history over CFA periods (plane). If `restart` is set, the history is ignored.
 __kernel void blend(__global const ushort *restrict raw, __global const ushort *restrict history,
                     __global const int2 *restrict vectors, __global const ushort *restrict weights,
                     __global const int *restrict cuts, __global ushort *restrict new_kept,

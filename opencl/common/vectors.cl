@@ -46,7 +46,7 @@ VECTOR(short, pairs, 2 * LANES);
 #define CONVERT(value, type) __builtin_convertvector(value, type)
 #define SAME_BITS(value, type) __builtin_astype(value, type)
 
-// Whether a comparison is true for any lane.
+// Returns whether a comparison is true for any lane.
 INLINE bool any_lane(ints mask) {
 #if LANES == 16
     typedef int eight __attribute__((ext_vector_type(8)));

@@ -41,7 +41,7 @@ LAMP = (
 PITCH = "µm; distance between pixels, from the data sheet"
 LEAST_CHARTS = 2  # a fit of gain and offset needs at least this number of charts
 CORNERS = [[10, 10], [240, 10], [240, 170], [10, 170]]  # example of chart corners: column and row in pixels
-SHARING = ("[[mono]]", "[[band]]")  # types of captures to which the section [common] applies
+SHARING = ("[[mono]]", "[[band]]")  # types of captures to which the [common] section applies
 SEVERAL = 2  # if at least this many captures lack a key, it is written once, in [common]
 EXAMPLE_SPECTRUM = "spectra/mono.csv"
 PAIR = 2  # a measurement of noise needs at least this number of frames
@@ -158,7 +158,7 @@ def known_body(out: DraftText, camera: CameraModel) -> None:
 
 
 def unknown_optics(out: DraftText) -> None:
-    """Add the section [optics] with keys that the user must fill in."""
+    """Add the [optics] section with keys that the user must fill in."""
     out.table("[optics]")
     out.todo("focal_length_mm", 25.0, "mm; focal length of the lens", "[optics]")
     out.todo("f_number", 4.0, "f-number that was set on the lens", "[optics]")
@@ -298,7 +298,7 @@ class Composer:
         note_unused(columns, matched, seen.notes)
 
     def _share(self, groups: Sequence[Group], unitless: Sequence[str], unit: str) -> None:
-        """Add the section [common] with the keys that several captures lack, marked TODO.
+        """Add the [common] section with the keys that several captures lack, marked TODO.
 
         These can be the exposure time and the unit of radiances. `unitless` lists the captures or tables in which radiances
         have no unit.
@@ -445,7 +445,7 @@ class Composer:
     # ---------------------------------------------------------------------------------------------------- sensor
 
     def _sensor_frames(self) -> None:
-        """Add the [[white]] and [[dark]] captures and, for captures through filters, the section [datasheet].
+        """Add the [[white]] and [[dark]] captures and, for captures through filters, the [datasheet] section.
 
         Missing captures are added as TODOs, including [[chart]] captures if there are monochromatic captures. A draft with
         only photos needs none of these entries.

@@ -363,7 +363,7 @@ def _has_unit(curves: Spectra, per_energy: bool) -> bool:
 
 
 def sensor_figures(out: DraftText, camera: CameraModel | None) -> None:
-    """Add the section [datasheet] with the camera's black level, white level and noise.
+    """Add the [datasheet] section with the camera's black level, white level and noise.
 
     The section is needed because tables of responsivities do not contain these values. If the camera is unknown, it becomes
     a TODO.

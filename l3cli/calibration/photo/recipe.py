@@ -56,7 +56,7 @@ class PhotoCamera:
     overrides: Mapping[str, str] = field(default_factory=dict)  # options of l3 render that correct metadata of the raw files
 
     def gain_recipe(self) -> str:
-        """Return the text of the section [gain], or an empty string if the ISO speed of the photo is unknown."""
+        """Return the text of the [gain] section, or an empty string if the ISO speed of the photo is unknown."""
         if self.stated.iso is None:
             return ""
         lines = ["", "[gain]", f"iso = {self.stated.iso:g} # at gain_dn_per_e"]

@@ -206,13 +206,13 @@ static void estimate_block(const float *means, int y, int x, int rows, int colum
     estimate(&block, total, made);
 }
 
-/* Distances in blocks over which the steps spread the estimates */
+/* Distances in blocks over which the passes spread the estimates */
 static const int spread_rows[L3_SPREADS] = {L3_SPREAD_ROWS}, spread_columns[L3_SPREADS] = {L3_SPREAD_COLUMNS};
 
 static float within_hue(float ratio) { return ratio < 0 ? 0 : ratio > L3_HUE_MOST ? L3_HUE_MOST : ratio; }
 
 /* Spreads the estimates `from` over uniform areas, by `down` rows and `across` columns of blocks, and stores the new estimate of block
-   (y, x) in `to`. The last step also stores the hue in `maps`, and adds the estimated outputs to the first four maps. */
+   (y, x) in `to`. The last pass also stores the hue in `maps`, and adds the estimated outputs to the first four maps. */
 static void spread_block(const float *means, const float *from, int y, int x, int rows, int columns, int down, int across, int last,
                          float *to, float *maps) {
     const ptrdiff_t at = (ptrdiff_t)y * columns + x;

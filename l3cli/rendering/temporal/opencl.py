@@ -166,7 +166,7 @@ class OpenCLFilter:
         self._settings: tuple[float, float | None] = (1.0, None)  # gain and exposure time of the previous frame
 
     def filtered(self, frame: RawFrame) -> RawFrame:
-        """Blend the next frame with the previous frames, and return the result with its remaining noise fractions.
+        """Blend the next frame with the previous frames, and return the result with the noise fraction of each cell.
 
         If the size, phase or levels of the frame have changed, the filter restarts. If the gain or exposure time has
         changed, the filter first converts its state.

@@ -141,7 +141,7 @@ def sample_weights(
     white : ndarray, (output)
         Outputs of a perfect white under the training illuminant, with Y = 1.
     recipe : LearningRecipe
-        The section [learning] of the class recipe.
+        The [learning] section of the class recipe.
     pictures : bool
         Whether the outputs are X, Y, Z.
 
