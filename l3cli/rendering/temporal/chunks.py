@@ -61,9 +61,9 @@ def chunks_of(place: int) -> range:
 
 
 def needed(wanted: Iterable[tuple[int, bool]]) -> Iterator[bool]:
-    """Yield, for each frame, whether the temporal filter must read it.
+    """Yield True for each frame that the temporal filter must read, and False for all other frames.
 
-    It must if the caller requests the result for this frame, or for a later frame that depends on it.
+    The filter must read a frame if the caller requests the result for this frame or for a later frame that depends on it.
 
     Parameters
     ----------

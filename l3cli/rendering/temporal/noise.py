@@ -174,8 +174,8 @@ def _shared_variances(camera: CameraModel, grid: Grid) -> tuple[float, float]:
 
     The first measure is the sum of the squares of 9 cells, each summed over its pixels. The second measure is the square of
     the sum over 3 × 3 cells. The variances are in (e-)², in addition to the variance of independent noise in all pixels.
-    After a correction with the picture itself, the slow part of the offsets remains, which is the same in all rows of the
-    cells.
+    If the offsets were estimated from the picture and subtracted, their slow part remains, which is the same in all rows of
+    the cells.
     """
     corrected, noise = camera.corrected_noise(), camera.noise
     rows = corrected.row_temporal_noise**2, noise.row_temporal_noise**2, 0
@@ -212,13 +212,13 @@ def _mean(values: NDArray[np.uint16], period: int) -> float:
 
 
 def to_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
-    """Convert DN to u. Values above the white level are clipped if they do not fit into 16 bits."""
+    """Convert DN to units of u. Values above the white level are clipped if they do not fit into 16 bits."""
     most = np.uint16((1 << DEEP - noise.protect) - 1)
     return np.minimum(values, most) << np.uint16(noise.protect)
 
 
 def of_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
-    """Convert u to the nearest DN."""
+    """Convert units of u to the nearest DN."""
     most = (1 << DEEP - noise.protect) - 1
     return np.minimum((values.astype(np.uint32) + (1 << noise.protect >> 1)) >> noise.protect, most).astype(np.uint16)
 
