@@ -62,9 +62,7 @@ class FrameWarnings:
         if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:
             self._untimed.append(frame.name)
         of_camera = other_camera(frame, self.table), other_gain(frame, self.table)
-        misread = _misread(frame)  # if the frame was misread, all other checks of the values are meaningless
-        of_values = (misread,) if misread else (other_phase(frame, self.table), *value_warnings(frame, self.table))
-        for text in (*of_camera, *of_values):
+        for text in (*of_camera, *pixel_warnings(frame, self.table)):
             self._note(text, frame.name)
         for note in frame.notes:
             self._notes.setdefault(note, frame.name)
@@ -227,15 +225,22 @@ def odd_exposure_time(seconds: float | None, table: TransformTable) -> str:
     )
 
 
-def value_warnings(frame: RawFrame, table: TransformTable) -> Iterator[str]:
-    """Yield warnings about raw values that are implausible for the table's camera or the stated levels and size."""
+def pixel_warnings(frame: RawFrame, table: TransformTable) -> list[str]:
+    """Return warnings about the pixels of a frame.
+
+    If the file was probably read in the wrong format or size, there are no other warnings, because they would mislead.
+    """
+    misread = _misread(frame) or _torn(frame, table.cfa.shape[0])
+    texts = [misread] if misread else [other_phase(frame, table), _value_warning(frame, table)]
+    return [text for text in texts if text]
+
+
+def _value_warning(frame: RawFrame, table: TransformTable) -> str:
+    """Return a warning if raw values are implausible for the table's camera or for the stated levels, otherwise ""."""
     top = int(frame.values.max())
-    too_high = top > MAX_OVERSHOOT * frame.white_level
-    lower = "" if too_high else _clips_lower(frame, top) or _below_black(frame) or _fog(frame, table)
-    if text := _too_high(frame, table.bits, top) if too_high else beyond_converter(frame, table) or lower:
-        yield text
-    if text := _torn(frame, table.cfa.shape[0]):
-        yield text
+    if top > MAX_OVERSHOOT * frame.white_level:
+        return _too_high(frame, table.bits, top)
+    return beyond_converter(frame, table) or _clips_lower(frame, top) or _below_black(frame) or _fog(frame, table)
 
 
 def _too_high(frame: RawFrame, bits: int, top: int) -> str:
