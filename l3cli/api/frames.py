@@ -456,7 +456,7 @@ class Renderer:
         Returns
         -------
         ndarray of float32, (row, col, output)
-            Outputs in the order of `table.outputs`, rotated upright. Y = 1 corresponds to a luminous exposure of
+            Outputs in the order of `table.outputs`, rotated upright. Y = 1 corresponds to a luminance × exposure time of
             `table.output_unit` cd s/m².
 
         Examples
