@@ -50,7 +50,8 @@ DEVELOPED = """(async () => {
 def page_of(table: TransformTable, folder: Path) -> Path:
     save(table, folder / "table.h5")
     assert run(["export", str(folder / "table.h5"), "-o", str(folder / "source"), "--quiet"]) == 0
-    subprocess.run(["make", "-C", folder / "source", "page"], check=True, capture_output=True)
+    made = subprocess.run(["make", "-C", folder / "source", "page"], check=True, capture_output=True, text=True)
+    assert not made.stderr  # clang prints no warnings
     return folder / "source/l3_page.html"
 
 

@@ -208,7 +208,7 @@ def test_pictures_of_colour_tables_on_every_backend(trained: Path, options: str,
     assert np.ptp(pictures[0], axis=2).max() > 10
     assert all(np.abs(each - pictures[0]).max() <= 1 for each in pictures)
     if options.startswith("--white 2"):  # the square is almost neutral
-        assert np.ptp(pictures[0][24:32, 24:32].mean(axis=(0, 1))) < 5
+        assert np.ptp(pictures[0][24:32, 24:32].mean(axis=(0, 1))) < 8
 
 
 def test_a_white_does_not_change_grey_pictures(trained: Path, l3: L3) -> None:

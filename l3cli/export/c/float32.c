@@ -1,7 +1,9 @@
 /* ----------------------------------------------------------------------------------------------------------- float outputs */
 
+#if defined L3_BY_LUMINANCE || defined L3_PLANE_STEP || defined L3_CLIP_FAINTEST
 /* Returns output + by. */
 static inline L3Output changed(L3Output output, float by) { return output + by; }
+#endif
 
 #ifdef L3_WHITE_SLOPE
 /* Fades the outputs of a pixel that is brighter than the clipped white. X, Y and Z are `apart` values apart in memory. */

@@ -1,10 +1,12 @@
 /* ---------------------------------------------------------------------------------------------------------- 16-bit outputs */
 
+#if defined L3_BY_LUMINANCE || defined L3_PLANE_STEP || defined L3_CLIP_FAINTEST
 /* Adds `by`, in the output unit, to an output. */
 static inline L3Output changed(L3Output output, float by) {
     const float steps = by * (1 << L3_OUTPUT_FRACTION);
     return (L3Output)clamped(output + (int)(steps < 0 ? steps - 0.5f : steps + 0.5f), -L3_OUTPUT_TOP, L3_OUTPUT_TOP);
 }
+#endif
 
 #ifdef L3_WHITE_SLOPE
 #define ONE (1 << 15) /* a factor of 1 in fixed point */
