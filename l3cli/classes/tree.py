@@ -27,7 +27,7 @@ ONE, TRACE, CHROMA, LUMA = range(4)  # indices of the denominators
 
 
 class Test(NamedTuple):
-    """A test of a decision tree."""
+    """A comparison in a decision tree: a numerator, divided by a denominator, is compared with a threshold."""
 
     name: str  # name of the numerator
     denominator: int  # index of the denominator

@@ -275,7 +275,10 @@ def _are_slanted(means: NDArray[np.float64], sites: NDArray[np.float64], slant: 
 
 
 def _has_two_gains(factors: NDArray[np.float64]) -> bool:
-    """Return whether the factors of pairs of rows alternate between two gains."""
+    """Return whether the gain alternates between two values from one pair of rows to the next.
+
+    `factors` contains the gain of each row.
+    """
     pairs = [np.roll(factors, shift).reshape(-1, 2) for shift in (0, 1)]
     return any(
         np.ptp(each, axis=1).max() <= FITS

@@ -348,7 +348,10 @@ class NoiseSets:
         return len(self.tables)
 
     def share(self, frame: RawFrame) -> float:
-        """Return a frame's noise variance as a fraction of the camera's, or 1 if there is only one set of transforms."""
+        """Return the noise variance of a frame, divided by the noise variance of the camera model.
+
+        With a single set of transforms, the ratio is not needed, and the result is 1.
+        """
         return frame.noise_share if self._limits else 1.0
 
     def chosen(self, frame: RawFrame) -> NDArray[np.uint8]:

@@ -512,8 +512,8 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     """Fit the gains G and the factors K by iterative proportional fitting.
 
     Pixels are grouped in four ways: (1) by level, (2) by the class in the last layer, pooled over all CFA sites, (3) by the
-    class in the last layer at each site, and (4) by the kind in the first layer. In each group, the fit equates two means
-    over the group's pixels: the predicted and the measured standard deviation.
+    class in the last layer at each site, and (4) by the kind in the first layer. In each group, the fit makes the
+    mean of the predicted standard deviations equal to the mean of the measured standard deviations.
 
     Parameters
     ----------

@@ -43,8 +43,8 @@ class LearningRecipe(Recipe):
     draws: Annotated[int, msgspec.Meta(ge=1, le=MOST_DRAWS)] = 8
     # number of random levels per patch in the first of two training passes; with 0, there is only one pass
     first_draws: Annotated[int, msgspec.Meta(ge=0, le=MOST_DRAWS)] = 3
-    # lowest random level, except for `dark_share`; levels are log-uniform; with 0, l3 uses the level at which the signal
-    # equals its noise
+    # lower limit of the random levels, whose distribution is log-uniform; a fraction of the levels, `dark_share`, may be
+    # lower; with 0, the limit is the level at which the signal equals its noise
     darkest: float = 0.0
     # fraction of the random levels that are drawn between half of `darkest` and `darkest`, for frames taken at a higher gain
     dark_share: Share = 0.0

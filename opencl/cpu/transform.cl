@@ -103,7 +103,7 @@ INLINE void coarse_row(float *to, int s, int row, int x0, int width, int rows, i
 #endif
 
 #ifdef CLIPPING
-#define CLIPPING_PARAMETER , __global const float *restrict maps  // maps of quads, and flags (common/quads.cl)
+#define CLIPPING_PARAMETER , __global const float *restrict maps  // maps for each quad, followed by one flag per quad (common/quads.cl)
 #define CLIPPING_READ , maps
 
 #define OF_QUAD(i) ((i) / 2)

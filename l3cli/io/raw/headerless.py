@@ -32,7 +32,7 @@ class Layout:
 
     @property
     def bits(self) -> int:
-        """Bit depth of the values. It is 16 for unpacked words: with a wrong byte order, any 16-bit value can occur."""
+        """Bit depth of the values: 16 for unpacked words, because any 16-bit value can occur if the byte order is wrong."""
         return 16 if self.packing.is_words else self.packing.bits
 
     @property

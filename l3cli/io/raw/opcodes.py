@@ -171,7 +171,7 @@ def _gain_map(opcode: Opcode) -> GainMap:
     if not (min(rows, cols, map_planes, count, down, across) >= 1 and gains.size == rows * cols * map_planes):
         raise ValueError("a gain map has the wrong number of gains")
     if not (np.isfinite((*spacing, *origin)).all() and min(spacing) > 0):
-        raise ValueError(f"a gain map has the spacing {spacing} and the origin {origin}")
+        raise ValueError(f"a gain map has an invalid spacing {spacing} or origin {origin}")
     if not 0 < gains.min() <= gains.max() <= MOST_GAIN:
         raise ValueError(f"a gain map has gains of {gains.min():.3g}…{gains.max():.3g}")
     area = slice(top, bottom, down), slice(left, right, across)

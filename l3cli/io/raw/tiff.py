@@ -153,7 +153,7 @@ def _count(path: Path) -> int:
         for page in file.pages:
             _check_tags(path, page)
             if not all(below.is_reduced for below in page.pages or ()):
-                raise InputFileError(f"{path} contains images that are not pages; save each frame as a page")
+                raise InputFileError(f"{path} contains images that are not pages (subimages); save each frame as a page")
         return len(file.pages)
 
 

@@ -212,7 +212,7 @@ def _mean(values: NDArray[np.uint16], period: int) -> float:
 
 
 def to_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
-    """Convert DN to units of u. Values above the white level are clipped if they do not fit into 16 bits."""
+    """Convert DN to the integer unit u, which is 2^-`protect` DN. Values that do not fit into 16 bits are clipped."""
     most = np.uint16((1 << DEEP - noise.protect) - 1)
     return np.minimum(values, most) << np.uint16(noise.protect)
 
