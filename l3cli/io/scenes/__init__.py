@@ -77,7 +77,7 @@ FORMATS = (
     SceneFormat(
         "envi", "envi", keys=("holds",), has_files=True, names_unknown=True,
         holds="ENVI header (.hdr) and its data file in the same folder",
-        states="[all fields of the header that change values](#fields-of-envi-headers)",
+        states="[all header fields that affect the values of pixels](#fields-of-envi-headers)",
     ),
     SceneFormat(
         "cube", "cube", keys=("variable", "axes"), holds="array of MATLAB (any version), HDF5, netCDF-4 or .npy",
