@@ -27,7 +27,7 @@ from l3cli.rendering.reference import (
     FAR_LIKENESS,
     MAX_CONTRAST,
     SMOOTHING_DARKEST,
-    least_noise,
+    least_black_level,
     raising_constants,
     white_scale,
 )
@@ -186,7 +186,7 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
         if table.white_signals is not None:
             content["least_luminance"] = {
                 "doc": LEAST_DOC,
-                "least_black_level": table.black_level - least_noise(table),
+                "least_black_level": least_black_level(table),
                 **raising_constants(table),
                 **_white_scale(table),
             }

@@ -47,7 +47,7 @@ from l3cli.rendering.display import linear_matrix, require_known_layers, shown_a
 from l3cli.rendering.exposure import NOISE_WHERE_CLIPPED
 from l3cli.rendering.opencl.layout import source_folder
 from l3cli.rendering.opencl.smoothing import NEIGHBOUR_MACROS
-from l3cli.rendering.reference import MAX_CONTRAST, SMOOTHING_DARKEST, least_noise, raising_constants
+from l3cli.rendering.reference import MAX_CONTRAST, SMOOTHING_DARKEST, least_black_level, raising_constants
 from l3cli.rendering.white.scene_white import WhiteBalance, Whites
 from l3cli.rendering.white.source import usual_balance
 from l3cli.system.text import printable
@@ -233,7 +233,7 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
         values["DARKEST"] = _float(SMOOTHING_DARKEST * (2 ** output_fraction(table) if words == "int16" else 1))
         raising = raising_constants(table)
         values |= {name.upper(): _float(at) if isinstance(at, float) else at for name, at in raising.items()}
-        values |= {"LEAST_BLACK_LEVEL": _float(table.black_level - least_noise(table))} if raising else {}
+        values |= {"LEAST_BLACK_LEVEL": _float(least_black_level(table))} if raising else {}
     if _coarse_chroma(table):
         values["PLANE_STEP"] = _float(PLANE_STEP)
     if table.later and table.later[-1].clipping:
@@ -416,8 +416,8 @@ def _readme(table: TransformTable, vector: Vector, arrays: list[Array], short: S
         if table.white_signals is not None:
             parts += ["readme_raised.md"]
             raising = raising_constants(table)
-            black = f"{table.black_level - least_noise(table):.6g}"
-            known |= raising | {"least_side": 2 * int(raising["least_reach"]) + 1, "least_black": black}
+            side, black = 2 * int(raising["least_reach"]) + 1, f"{least_black_level(table):.6g}"
+            known |= raising | {"least_side": side, "least_black": black}
     parts += ["readme_structure.md"] if any(isinstance(layer.rule, StructureRule) for layer in table.later) else []
     parts += ["readme_picture.md"] if table.outputs == XYZ else []
     parts += ["readme_tree.md"] if any(isinstance(layer.rule, TreeRule) for layer in table.later) else []

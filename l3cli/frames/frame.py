@@ -36,9 +36,9 @@ class NoiseLeft:
     cell: tuple[int, int]  # rows and columns of pixels in a cell
 
     def below(self, limits: Sequence[float], shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Count, for each pixel, the `limits` that its noise fraction does not exceed: (row, col).
+        """Return how many of the `limits` are greater than or equal to the noise fraction of each pixel: (row, col).
 
-        `shape` contains the number of rows and columns in the frame.
+        `shape` is the shape of the frame in pixels.
         """
         cells = np.sum([self.shares <= int(limit * self.whole) for limit in limits], axis=0, dtype=np.uint8)
         return cells.repeat(self.cell[1], 1)[:, : shape[1]].repeat(self.cell[0], 0)[: shape[0]]
@@ -89,7 +89,7 @@ class RawFrame:
 
     @property
     def light_share(self) -> float:
-        """Fraction of full scale that remains for light after subtraction of the dark current."""
+        """Fraction of the range from black to white that is left for light after the dark signal is subtracted."""
         return 1.0 - self.dark / (self.white_level - self.black_level)
 
     def at_levels(self, black_level: float, white_level: float, bits: int) -> "RawFrame":
@@ -136,7 +136,7 @@ class RawFrame:
 
 @functools.lru_cache(maxsize=8)
 def _level_table(black_level: float, new_black_level: float, scale: float, top: int) -> NDArray[np.uint16] | None:
-    """Return a look-up table that rescales 16-bit values. Return None if it would not change any value up to `top`."""
+    """Return a look-up table that rescales 16-bit values, or None if values up to `top` would not change."""
     every = np.arange(1 << 16)
     table = np.clip(np.rint((every - black_level) * scale + new_black_level), 0, top).astype(np.uint16)
     return None if np.array_equal(table[: top + 1], every[: top + 1]) else table

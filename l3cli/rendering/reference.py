@@ -339,15 +339,16 @@ def raising_constants(table: TransformTable) -> dict[str, float | int]:
     return {"least_reach": channel_reach(table.cfa), **factors}
 
 
-def least_noise(table: TransformTable) -> float:
-    """Return the value in DN that `least_luminance` adds to raw values because of their noise."""
-    return LEAST_NOISE * float(np.sqrt(table.camera.noise_variance(np.zeros(1))[0])) if table.camera else 0.0
+def least_black_level(table: TransformTable) -> float:
+    """Return the black level in DN for `least_luminance`. Because of noise, it is lower than the level of the table."""
+    noise = float(np.sqrt(table.camera.noise_variance(np.zeros(1))[0])) if table.camera else 0.0
+    return table.black_level - LEAST_NOISE * noise
 
 
 def least_luminance(frame: RawFrame, table: TransformTable) -> NDArray[np.float64]:
     """Return a lower limit for the luminance of each pixel, computed from the raw values around it.
 
-    Each raw value in a window around the pixel, plus `least_noise`, is divided by the raw value of white in the same
+    Each raw value in a window around the pixel, minus `least_black_level`, is divided by the signal of white in the same
     channel. The limit is the smallest of these ratios, times a constant factor. The window is just large enough to contain
     all channels. Values outside the frame are ignored. If the table does not contain the channel signals of white, the limit
     is −∞.
@@ -369,7 +370,7 @@ def least_luminance(frame: RawFrame, table: TransformTable) -> NDArray[np.float6
     channel = np.tile(cfa, [-(-length // period) for length, period in zip(shape, cfa.shape, strict=True)])
     scale = white_scale(table)[channel[: shape[0], : shape[1]]]
     reach = channel_reach(table.cfa)
-    padded = np.pad((frame.values - frame.black_level + least_noise(table)) * scale, reach, constant_values=np.inf)
+    padded = np.pad((frame.values - least_black_level(table)) * scale, reach, constant_values=np.inf)
     smallest = np.lib.stride_tricks.sliding_window_view(padded, (2 * reach + 1,) * 2).min(axis=(2, 3))
     return np.asarray(smallest * np.where(smallest > 0, LEAST_OF_POSITIVE, LEAST_OF_NEGATIVE))
 

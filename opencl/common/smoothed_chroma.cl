@@ -53,7 +53,7 @@ INLINE void change_chroma(floats *own, Scaled scaled, const floats *sums, float 
 #define LEAST_PARAMETERS \
     __global const ushort *restrict raw,   /* (row, col) raw values in DN, with all rows that the band reads */ \
     __global const float *restrict scale,  /* (CFA row, SCALE_PERIOD) luminance of a white object per DN */ \
-    float black_level, int raw_first,      /* black level minus `least_noise` in DN, and index of the first raw row in the frame */ \
+    float black_level, int raw_first,      /* `least_black_level` in DN, and index of the first raw row in the frame */ \
     int phase_row, int phase_column,       /* CFA site of the frame's first pixel */
 #define LEAST_READ raw, scale, black_level, raw_first, phase_row, phase_column,
 

@@ -20,7 +20,7 @@ from l3cli.rendering.reference import (
     FAR_LIKENESS,
     MAX_CONTRAST,
     SMOOTHING_DARKEST,
-    least_noise,
+    least_black_level,
 )
 
 NEIGHBOURS = CHROMA_NEIGHBOURS + FAR_CHROMA_NEIGHBOURS
@@ -152,7 +152,7 @@ class DeviceChroma:
         self._kernels: dict[tuple[Any, ...], Any] = {}  # `ending` macros → kernel
         self._macros = layout.least_macros(table)
         self._scale = constant(layout.site_scale(table), np.float32) if self._macros else None
-        self._least_noise = least_noise(table)
+        self._least_black_level = np.float32(least_black_level(table))
 
     def room(self, track: Track, band: Band) -> Any:
         """Return the buffer for a band's outputs before smoothing."""
@@ -190,8 +190,11 @@ class DeviceChroma:
             macros = {**ending, **DARKEST, **NEIGHBOUR_MACROS, "OUTPUTS": 3, **self._macros, **self._cut.macros}
             source = layout.encoding_source(self._variant, "smoothed_chroma.cl", "common/mirrored.cl")
             self._kernels[key] = pyopencl().Kernel(self._compiler.build(source, macros), "smooth_chroma")
-        black = np.float32(frame.black_level - self._least_noise)
-        least = (track.raw, self._scale, black, *map(np.int32, (band.raw_rows.start, *frame.phase))) if self._macros else ()
+        least = (
+            (track.raw, self._scale, self._least_black_level, *map(np.int32, (band.raw_rows.start, *frame.phase)))
+            if self._macros
+            else ()
+        )
         place = place_of(band, len(frame.values))
         arguments = track.made, encoding, result, *gain, *least, *self._factors, *place
         return self._run(self._kernels[key], track, band.shape(-1), *arguments, cut=self._cut)
